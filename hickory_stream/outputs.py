@@ -57,6 +57,7 @@ class LiveStatus(TypedDict):
     event: Literal["status"]
     uri: str
     kind: str
+    has_ended: bool
     is_connected: bool
     problem: str
     clock_offset_s: float | None
@@ -228,6 +229,7 @@ class Queried(TypedDict):
     question: str
     counts: bool
     count: int
+    by: Literal["geometry and colour alone", "geometry, colour and an image-text network"]
     answers: list[QueryAnswer]
     nearly: list[QueryAnswer]
 

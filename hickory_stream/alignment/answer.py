@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,3 +120,12 @@ class NoAlignment:
     contradictions: Contradictions = field(default_factory=Contradictions)
     notes: tuple[str, ...] = ()
     rivals: tuple[Rival, ...] = ()
+
+
+def count_text(log10_count: float) -> str:
+    """Return an expected number in decimals with two digits, rounded up, so that more than a limit also reads so."""
+    if not -9 <= log10_count <= 6:
+        return "more than a million" if log10_count > 6 else "less than 0.000000001"
+    places = 1 - floor(log10_count)
+    value = ceil(10**log10_count * 10**places - 1e-6) / 10**places
+    return f"{value:,.10f}".rstrip("0").rstrip(".")

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal, Rival
+from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal, Rival, count_text
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.contradiction import contradictions
 from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, grown
@@ -175,7 +175,7 @@ def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
     acceptance, judged, refusal = config.acceptance, findings.judged, findings.refusal
     most = len(judged[0].hypothesis.pairs) if judged else 0
     if most < acceptance.min_pairs:
-        reason = f"at most {most} pairs of objects agree, {acceptance.min_pairs} are needed"
+        reason = f"{most} pairs of objects agree in the likeliest alignment, {acceptance.min_pairs} are needed"
         return refusal(Refusal.TOO_FEW_PAIRS, reason)
     best, against = judged[0].hypothesis, judged[0].contradictions
     limit = acceptance.max_log10_chance
@@ -188,8 +188,9 @@ def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
         return refusal(Refusal.CONTRADICTED, reason)
     if best.log10_chance > limit:
         reason = (
-            f"{len(best.pairs)} pairs agree, but two unrelated maps of this size have 10^{best.log10_chance:.1f} sets "
-            f"of pairs as good; at most 10^{limit:.1f} are allowed"
+            f"{len(best.pairs)} pairs agree, but between two unrelated maps of this size "
+            f"{count_text(best.log10_chance)} sets of pairs that agree as well are expected; at most "
+            f"{count_text(limit)} is accepted"
         )
         return refusal(Refusal.CHANCE, reason)
     if _is_mirrored(findings, config):

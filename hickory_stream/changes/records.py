@@ -137,11 +137,13 @@ def evidence_text(change: ObjectChange) -> str:
             (seen.free, "free space"),
             (seen.objects, "an object's surface"),
             (seen.structure, "the room's surface"),
-            (seen.unseen, "not looked at"),
         )
         if share >= 0.005
     ]
     by = "the first map" if change.id_a is None else "the second map"
+    if seen.unseen >= 0.995:
+        return f"{by} did not see its place"
+    parts += [f"{seen.unseen:.0%} of it was not seen"] * (seen.unseen >= 0.005)
     return f"{by} saw in its place: {', '.join(parts) or 'nothing that counts'}"
 
 

@@ -29,7 +29,8 @@ class Commands:
         configured: argparse.ArgumentParser,
         group: str = "",
     ) -> None:
-        self._parsers = parser.add_subparsers(required=True, metavar="ACTION" if group else "COMMAND")
+        title, name = ("actions", "ACTION") if group else ("commands", "COMMAND")
+        self._parsers = parser.add_subparsers(title=title, required=not parser.get_default("run"), metavar=name)
         self._common, self._configured, self._group = common, configured, group
 
     def add(
@@ -42,9 +43,10 @@ class Commands:
         """Return the parser of a command without the common options."""
         return self._add(name, [], **defaults)
 
-    def group(self, name: str) -> Commands:
-        """Return the actions of a command."""
-        return Commands(self.add_plain(name), self._common, self._configured, f"{name} ")
+    def group(self, name: str, run: Callable[[argparse.Namespace], int] | None = None) -> Commands:
+        """Return the actions of a command, which alone does `run`, if given."""
+        alone = {} if run is None else {"run": run, "json": False, "debug": False}
+        return Commands(self.add_plain(name, **alone), self._common, self._configured, f"{name} ")
 
     def _add(self, name: str, parents: list[argparse.ArgumentParser], **defaults: Any) -> argparse.ArgumentParser:
         text, example = TEXTS[self._group + name]

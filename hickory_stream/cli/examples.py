@@ -37,7 +37,10 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Estimate the camera's trajectory from the LiDAR or the depth images of a log, and compare it with the truth.",
         "odometry demo.mcap -o poses.tum --pose-topic none --truth demo.mcap",
     ),
-    "inspect": ("List the objects of a map, with layers, storage and computing times.", "inspect demo.map --at 12.5"),
+    "inspect": (
+        "List the objects of a map: place, size, colour and support. --layers adds storage and computing times.",
+        "inspect demo.map --near 1,2",
+    ),
     "render": (
         "Draw a map from above and in perspective, without a screen.",
         "render demo.map -o demo.png --layers 3,4",
@@ -123,7 +126,7 @@ TEXTS: dict[str, tuple[str, str]] = {
     ),
     "cache show": ("Print the folder of the caches and their sizes by kind.", "cache show --json"),
     "cache clear": ("Remove all caches, or some kinds of them.", "cache clear kernels shapes"),
-    "schema": ("Print the JSON Schema of a --json output.", "schema inspect"),
+    "schema": ("List the --json outputs, or print the JSON Schema of one.", "schema inspect"),
     "verify": (
         "Check the digest, journal and files of a map, and prove layer 4 from the meshes. Exit status 1: a check "
         "failed.",

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
+from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NoReturn
 
 from hickory_stream import __version__
@@ -28,12 +32,14 @@ from hickory_stream.cli.maps import (
 from hickory_stream.cli.runs import batch, demo, fleet, live, play, replay, resume
 from hickory_stream.cli.setup import cache, completion, config, generators, models, schema
 
-_COMMANDS = (
-    *(demo, play, live, fleet, batch, resume, replay, doctor, odometry),
-    *(inspect, verify, render, export, diff, query, plan, align, merge, relocalise, reconstruct),
-    *(explain, evaluate, segment, models, generators, cache, config, schema, completion),
-)
-
+_GROUPS = {
+    "make a map": (demo, play, live, fleet, batch, resume, replay),
+    "look at a map": (inspect, render, export, explain),
+    "use a map": (query, plan, relocalise),
+    "compare and join maps": (diff, align, merge),
+    "measure": (doctor, odometry, segment, evaluate, verify),
+    "maintain": (reconstruct, models, generators, cache, config, schema, completion),
+}
 
 # Commands and options of earlier releases.
 _MOVED = {
@@ -53,9 +59,41 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         # A name of an earlier release is answered by its present name.
-        words = message.partition("(choose")[0].replace("'", " ").split()
-        moved = next((word for word in words if word in _MOVED), None)
+        moved = next((word for word in re.findall(r"[-\w]+", message) if word in _MOVED), None)
         super().error(message if moved is None else f"found {moved}, which is now {_MOVED[moved]}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            names = [str(name) for name in action.choices]
+            one_of = "expected " + "one of " * (len(names) > 1) + ", ".join(names)
+            raise argparse.ArgumentError(None, f"found {value}, {_meant(value, names) or one_of}")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        found, unknown = super().parse_known_args(args, namespace)
+        for word in unknown:
+            # Here, and not in the parser of all commands, its options are known.
+            meant = _meant(word.partition("=")[0], list(self._option_string_actions)) if word.startswith("-") else ""
+            self.error(f"found {word}, {meant or f'which is not expected; see {self.prog} --help'}")
+        return found, unknown
+
+
+def _meant(word: str, names: Sequence[str]) -> str:
+    near = get_close_matches(word, names, n=2)
+    return f"did you mean {' or '.join(near)}?" if near else ""
+
+
+class _Overview(argparse.HelpFormatter):
+    # Lists the commands by group.
+    def _format_action(self, action: argparse.Action) -> str:
+        if not isinstance(action, argparse._SubParsersAction):
+            return super()._format_action(action)
+        helps = {entry.dest: entry.help or "" for entry in action._choices_actions}
+        lines = []
+        for group, modules in _GROUPS.items():
+            lines.append(f"  {group}:")
+            for name in (module.__name__.rpartition(".")[2] for module in modules):
+                lines += [fill(f"    {name:<13}{helps[name]}", 79, subsequent_indent=" " * 17)]
+        return "\n".join(lines) + "\n"
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -63,6 +101,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="hickory-stream",
         description="Streaming object mapper: posed RGB-D in, a map of objects with four layers out.",
+        epilog="`hickory-stream COMMAND --help` shows an example and all options; begin with `hickory-stream demo`.",
+        formatter_class=_Overview,
     )
     parser.set_defaults(parser=parser)
     parser.add_argument("--version", action="version", version=f"hickory-stream {__version__}")
@@ -79,6 +119,6 @@ def make_parser() -> argparse.ArgumentParser:
         "--set", action="append", metavar="SECTION.KEY=VALUE", help="override one value; repeatable"
     )
     commands = Commands(parser, common, configured)
-    for command in _COMMANDS:
+    for command in chain(*_GROUPS.values()):
         command.add(commands)
     return parser

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.answer import Alignment, count_text
 from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.confined import path_within
@@ -85,7 +85,7 @@ def outcome_text(pair: PairOutcome) -> str:
     """Return the outcome of a pair of maps in a few words."""
     if not isinstance(pair.answer, Alignment):
         return f"not aligned ({pair.answer.refusal.value}): {pair.answer.reason}"
-    text = f"{len(pair.answer.pairs)} pairs, chance 10^{pair.answer.log10_chance:.0f}"
+    text = f"{len(pair.answer.pairs)} pairs, {count_text(pair.answer.log10_chance)} such sets expected by chance"
     return text if pair.is_believed else f"REJECTED, the other alignments contradict it: {text}"
 
 

@@ -93,9 +93,7 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
             usable, plan.out, overwrite=plan.overwrite or plan.resumes, tell=watcher.said, joining=plan.config.joining
         )
         if not finished.maps and not any(one.was_stopped for one in ended.values()):
-            raise InputError(
-                "no robot gave a map: " + "; ".join(f"{name}: {one.reason}" for name, one in ended.items())
-            )
+            raise InputError(f"no robot gave a map ({', '.join(ended)}): each reason is above")
         run.show_end(finished)
     return result_of(ended, folders, run.keyframes, finished, run.events)
 

@@ -43,7 +43,9 @@ def summary_text(summary: GraphSummary) -> str:
     """Return a pose graph as a line for people."""
     counts = {"accepted": summary.num_accepted, "rejected": summary.num_rejected, "withdrawn": summary.num_withdrawn}
     said = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+    submaps, loops = summary.num_submaps, len(summary.loops)
     return (
-        f"pose graph: {summary.num_submaps} submaps, {len(summary.loops)} loops{f' ({said})' if said else ''}; submaps "
-        f"moved by up to {summary.moved_m:.2f} m, places are known within {summary.sigma_m:.2f} m (1 sigma)"
+        f"pose graph: {submaps} submap{'s' * (submaps != 1)}, {loops} loop{'s' * (loops != 1)}"
+        f"{f' ({said})' if said else ''}; submaps moved by up to {summary.moved_m:.2f} m, places are known within "
+        f"{summary.sigma_m:.2f} m (1 sigma)"
     )

@@ -143,20 +143,16 @@ def chosen(
         within_m: leaves out farther objects.
         min_size_m: leaves out objects whose longest side is shorter.
     """
-
-    def distance_m(row: ObjectSummary) -> float:
-        return hypot(row.place.center_m[0] - near[0], row.place.center_m[1] - near[1])
-
     keys: dict[SortBy, Callable[[ObjectSummary], float]] = {
         "id": lambda row: row.id,
-        "distance": distance_m,
+        "distance": lambda row: _distance_m(row, near),
         "volume": lambda row: -row.place.volume_m3,
         "height": lambda row: -row.place.size_m[2],
         "sightings": lambda row: -row.sightings,
     }
     kept = [row for row in summary.objects if max(row.place.size_m) >= min_size_m]
     if within_m is not None:
-        kept = [row for row in kept if distance_m(row) <= within_m]
+        kept = [row for row in kept if _distance_m(row, near) <= within_m]
     return replace(summary, objects=tuple(sorted(kept, key=lambda row: (keys[sort](row), row.id))))
 
 
@@ -165,18 +161,25 @@ def as_json(summary: MapSummary) -> dict[str, Any]:
     return asdict(summary)
 
 
-def format_table(summary: MapSummary) -> str:
-    """Return the summary as text: position, content and size of each object, and each layer."""
+def format_table(summary: MapSummary, *, with_layers: bool = False, near: tuple[float, float] | None = None) -> str:
+    """Return the summary as text: a row for each object, with its horizontal distance from `near`, if given.
+
+    `with_layers` adds the content and storage of each object, and the storage and time of each layer.
+    """
+    layers = [
+        "",
+        *_columns([_OBJECT_HEADER, *(_object_row(row) for row in summary.objects)]),
+        *(f"shape of {row.id}: {row.verdict}" for row in summary.objects if row.verdict),
+        "",
+        *_columns([_LAYER_HEADER, *(_layer_row(row) for row in summary.layers)]),
+    ]
+    header = (*_PLACE_HEADER, *(("away m",) if near is not None else ()))
     return "\n".join(
         [
             f"{summary.source}: {_count_objects(summary)}, {_ending(summary)}",
             "",
-            *_columns([_PLACE_HEADER, *(_place_row(row) for row in summary.objects)]),
-            "",
-            *_columns([_OBJECT_HEADER, *(_object_row(row) for row in summary.objects)]),
-            *(f"shape of {row.id}: {row.verdict}" for row in summary.objects if row.verdict),
-            "",
-            *_columns([_LAYER_HEADER, *(_layer_row(row) for row in summary.layers)]),
+            *_columns([header, *(_place_row(row, near) for row in summary.objects)]),
+            *(layers if with_layers else []),
             "",
             _containment_line(summary),
             *summary.notes,
@@ -217,6 +220,10 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
     )
 
 
+def _distance_m(row: ObjectSummary, near: tuple[float, float]) -> float:
+    return hypot(row.place.center_m[0] - near[0], row.place.center_m[1] - near[1])
+
+
 def _containment(saved: SavedMap, shape: ObjectShape) -> Containment:
     return replace(shape.containment, is_certified=False) if saved.is_altered else shape.containment
 
@@ -233,39 +240,40 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_PLACE_HEADER = ("id", "phase", "submap", "x m", "y m", "z m", "yaw deg", "size m", "of layer", "litres", "color",
+_PLACE_HEADER = ("id", "phase", "sightings", "layers", "x m", "y m", "z m", "yaw deg", "size m", "litres", "color",
                  "held by")  # fmt: skip
-_OBJECT_HEADER = ("id", "sightings", "layers", "points", "views", *LAYER_NAMES, "outside")
+_OBJECT_HEADER = ("id", "submap", "placed by", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
 
 
 def _object_row(row: ObjectSummary) -> tuple[str, ...]:
     return (
         str(row.id),
-        str(row.sightings),
-        "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),
-        str(row.num_points),
+        str(row.submap_id),
+        f"layer {row.place.layer}",
         str(row.num_views),
-        *(_bytes(size) if size else "-" for size in row.layer_bytes[:2]),
+        f"{row.num_points} ({_bytes(row.layer_bytes[0])})",
+        _bytes(row.layer_bytes[1]) if row.layer_bytes[1] else "-",
         _superquadrics_cell(row),
         f"{row.num_inflated} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
         _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
     )
 
 
-def _place_row(row: ObjectSummary) -> tuple[str, ...]:
+def _place_row(row: ObjectSummary, near: tuple[float, float] | None) -> tuple[str, ...]:
     place = row.place
     return (
         str(row.id),
         row.phase,
-        str(row.submap_id),
+        str(row.sightings),
+        "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),
         *(f"{part:.2f}" for part in place.center_m),
         f"{place.yaw_deg:.0f}",
         " x ".join(f"{side:.2f}" for side in place.size_m),
-        str(place.layer),
         f"{1000 * place.volume_m3:.1f}",
         place.color,
         support_text(row.supports),
+        *(() if near is None else (f"{_distance_m(row, near):.2f}",)),
     )
 
 

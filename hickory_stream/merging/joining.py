@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
+from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal, count_text
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.base.ranges import Ranged, number
 
@@ -35,8 +35,9 @@ def aligned_to_join(map_a: ObjectMap, map_b: ObjectMap, config: JoiningConfig | 
         return answer
     return NoAlignment(
         refusal=Refusal.CHANCE,
-        reason=f"{len(answer.pairs)} pairs agree, and 10^{answer.log10_chance:.1f} such sets are expected by chance; "
-        f"maps are joined from 10^{config.max_log10_chance:g} on, `hickory-stream align` answers sooner",
+        reason=f"{len(answer.pairs)} pairs agree, but {count_text(answer.log10_chance)} such sets of pairs are "
+        f"expected by chance; to merge maps at most {count_text(config.max_log10_chance)} is accepted, to align them "
+        f"{count_text(config.align.acceptance.max_log10_chance)}",
         contradictions=answer.contradictions,
         notes=answer.notes,
     )

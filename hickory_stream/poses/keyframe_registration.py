@@ -250,12 +250,16 @@ class KeyframeRegistration:
         sigmas = _sigmas(found.off, prior.information)
         if fit is not None and not sigmas <= _BOUND_SIGMAS:
             moved_m, turned_deg = portable.norm(found.off[3:]), float(np.degrees(portable.norm(found.off[:3])))
-            where = f"{moved_m:.2f} m and {turned_deg:.1f} degrees from where the odometry has it"
-            return f"it fits {where}, {sigmas:.0f} sigma of its drift; expected {_BOUND_SIGMAS:g} and less"
+            # Rounded up, so that what is too much also reads so.
+            times = float(np.ceil(10 * sigmas) / 10)
+            return (
+                f"its surface fits the map {moved_m:.2f} m and {turned_deg:.1f} degrees from the odometry's pose, "
+                f"{times:.1f} times the odometry's expected drift; at most {_BOUND_SIGMAS:g} times is accepted"
+            )
         # Neither new ground nor a floor locates a lost robot.
         is_lost = self._num_kept_out > 0 or self._has_jumped
         if is_lost and (fit is None or not self._tells_where(found)):
-            return "too little of the map is in sight to say where it is after what did not fit"
+            return "too little of the map is in sight to locate it after keyframes that did not fit"
         return None
 
     def _tells_where(self, found: Aligned) -> bool:

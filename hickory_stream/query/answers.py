@@ -15,6 +15,7 @@ from hickory_stream.query.colors import COLOR_NAMES
 from hickory_stream.query.grammar import question_of
 from hickory_stream.query.question import (
     Condition,
+    Either,
     HasColor,
     HasMeasure,
     HasShape,
@@ -26,6 +27,7 @@ from hickory_stream.query.question import (
     Quantity,
     Related,
     Serves,
+    Sized,
     Thing,
     Use,
     phrase_of,
@@ -43,8 +45,8 @@ if TYPE_CHECKING:
     Looks = Callable[[str], NDArray[np.float64]]
 
 ENOUGH = 0.5
-# The share of an object's points that has a colour.
-_COLOR_SHARE = (0.2, 0.5)
+# Beyond a range of sizes by this share, a thing is of another size.
+_SIZE_SLACK = 0.25
 # Heights of a level surface above the floor, and its area: not at all, fully.
 _SEAT_M, _SEAT_M2 = (0.3, 0.6), (0.04, 0.09)
 # Things are put on a top that is level and covers this share of the footprint.
@@ -62,12 +64,21 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answers:
-    """All objects that answer, best first; `nearly` are the best of the others."""
+    """All objects that answer, best first; `nearly` are the best of the others.
+
+    `by_looks`: an image-text network judged some of the conditions; otherwise geometry and colour did.
+    """
 
     question: str
     counts: bool
+    by_looks: bool
     found: tuple[Answer, ...]
     nearly: tuple[Answer, ...]
+
+    @property
+    def judged_by(self) -> str:
+        """The sources of the answers in words."""
+        return "geometry, colour and an image-text network" if self.by_looks else "geometry and colour alone"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,7 +94,7 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, l
     Args:
         index: of the map.
         text: the question, e.g. "a red box on a table".
-        viewer: viewpoint of "in front of", metres in the map; None: the best viewpoint of the landmark.
+        viewer: viewpoint of "in front of" and "left of", metres in the map; None: the best viewpoint of the landmark.
         looks: returns (N,) in 0..1, the likeness of each object to a text (`ObjectLooks`); None: words that only a
             network knows are refused.
 
@@ -99,7 +110,7 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, l
         Answer(
             id=int(index.ids[i]),
             score=round(float(scores[i]), 4),
-            why=tuple((phrase_of(condition), round(float(degrees[i]), 4)) for condition, degrees in parts),
+            why=tuple((phrase_of(condition, brief=True), round(float(degrees[i]), 4)) for condition, degrees in parts),
         )
         for i in order
     ]
@@ -107,6 +118,7 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, l
     return Answers(
         question=phrase_of(question.thing),
         counts=question.counts,
+        by_looks=looks is not None,
         found=tuple(ranked[:count]),
         nearly=tuple(answer for answer in ranked[count : count + 3] if answer.score > 0),
     )
@@ -134,17 +146,23 @@ def _together(
 def _degrees(asked: _Asked, condition: Condition) -> NDArray[np.float64]:
     index = asked.index
     if isinstance(condition, HasColor):
-        return ramp(index.colors[:, COLOR_NAMES.index(condition.name)], *_COLOR_SHARE)
+        return ramp(index.colors[:, COLOR_NAMES.index(condition.name)], *condition.share)
     if isinstance(condition, HasShape):
         return index.shapes[:, SHAPE_WORDS.index(condition.name)]
     if isinstance(condition, HasMeasure):
         return ramp(_quantity_m(index, condition.quantity), condition.zero_at, condition.one_at)
+    if isinstance(condition, Sized):
+        lows, highs = np.array(condition.sides_m).T
+        fits = np.minimum(index.sides_m / np.maximum(lows, 1e-6), highs / np.maximum(index.sides_m, 1e-6))
+        return ramp(fits.min(axis=1), 1 - _SIZE_SLACK, 1.0)
     if isinstance(condition, Serves):
         return _serves(index, condition.use)
     if isinstance(condition, Related):
         return _related(asked, condition)
     if isinstance(condition, Not):
         return 1.0 - _together(_parts(asked, condition.thing), len(index))[0]
+    if isinstance(condition, Either):
+        return np.max([_together(_parts(asked, thing), len(index))[0] for thing in condition.things], axis=0)
     if isinstance(condition, Most):
         return _foremost(asked, condition, np.ones(len(index), bool))
     if isinstance(condition, LooksLike):
@@ -158,6 +176,8 @@ def _quantity_m(index: MapIndex, quantity: Quantity) -> NDArray[np.float64]:
         return np.asarray(index.sides_m.max(axis=1, initial=0.0))
     if quantity is Quantity.UNDERSIDE:
         return index.bottom_m
+    if quantity is Quantity.SLENDERNESS:
+        return np.asarray(index.sides_m[:, 2] / np.maximum(index.sides_m[:, 0], 1e-6))
     return index.sides_m[:, (Quantity.LENGTH, Quantity.WIDTH, Quantity.HEIGHT).index(quantity)]
 
 

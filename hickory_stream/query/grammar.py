@@ -16,6 +16,7 @@ looks of a thing ("coffee mug"), beside the noun after them: an "office chair" i
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from difflib import get_close_matches
 
 from hickory_stream.errors import InputError
@@ -40,6 +41,8 @@ _TOKEN = re.compile(r"#\d+|-?\d+(?:\.\d+)?,\s*-?\d+(?:\.\d+)?|\d+(?:\.\d+)?|[^\W
 _PLACE = re.compile(r"(-?[\d.]+),\s*(-?[\d.]+)")
 _LENGTH_SLACK = 0.05
 _MOST_CHARACTERS = 500
+# A word of five letters with two swapped is a misspelling; "wine" is not "wide".
+_ALIKE = 0.8
 
 
 def question_of(text: str, *, with_looks: bool = False) -> Question:
@@ -60,6 +63,7 @@ class _Reader:
     def __init__(self, text: str, with_looks: bool) -> None:
         self._text = text
         self._with_looks = with_looks
+        self._nouns = words.NOUNS if with_looks else {**words.NOUNS, **words.STAND_INS}
         self._tokens = [token for token in _TOKEN.findall(text.lower()) if token not in "?.!;:'\""]
         self._at = 0
         self._is_of_first = False
@@ -104,17 +108,17 @@ class _Reader:
             return (Most(name=word, quantity=quantity, is_least=is_least),)
         if word in words.NEAREST:
             return (self._nearest(depth),)
-        if (said := _noun(word)) is not None:
+        if (said := _noun(word, self._nouns)) is not None:
             return said
         if self._with_looks and word.isalpha():
             return self._looks(word)
-        raise UnknownWord(_unknown(word))
+        raise UnknownWord(self._unknown(word))
 
     def _looks(self, word: str) -> tuple[Condition, ...]:
         said = [word]
-        while self._at < len(self._tokens) and self._peek().isalpha() and not _is_known(self._peek()):
+        while self._at < len(self._tokens) and self._peek().isalpha() and not self._is_known(self._peek()):
             said.append(self._next())
-        noun = _noun(self._peek()) if self._at < len(self._tokens) else None
+        noun = _noun(self._peek(), self._nouns) if self._at < len(self._tokens) else None
         if noun:
             said.append(self._next())
         return (LooksLike(text=" ".join(said)), *(noun or ()))
@@ -192,23 +196,40 @@ class _Reader:
         self._at += 1
         return self._tokens[self._at - 1]
 
+    def _is_known(self, word: str) -> bool:
+        tables = (
+            words.ADJECTIVES,
+            words.COMPARISONS,
+            words.SUPERLATIVES,
+            words.NEAREST,
+            words.FILLERS,
+            words.ROOM_WORDS,
+        )
+        in_table = any(word in table for table in tables)
+        return in_table or _begins_clause(word) or _noun(word, self._nouns) is not None
 
-def _noun(word: str) -> tuple[Condition, ...] | None:
-    forms = (word, word.removesuffix("s"), word.removesuffix("es"))
-    return next((words.NOUNS[form] for form in forms if form in words.NOUNS), None)
+    def _unknown(self, word: str) -> str:
+        # Suggested is what could stand here: before a thing a property or the thing, at the end a thing.
+        is_last = self._at == len(self._tokens) or _begins_clause(self._peek())
+        possible = [*self._nouns, *(() if is_last else (*words.ADJECTIVES, *words.SUPERLATIVES))]
+        counting = [" ".join(phrase) for phrase in words.COUNTING if phrase[0] == word]
+        near = counting or get_close_matches(word, possible, n=2, cutoff=_ALIKE)
+        meant = f" (did you mean {' or '.join(near)}?)" if near else ""
+        # Of synonyms, the first.
+        things = {conditions: noun for noun, conditions in reversed(self._nouns.items()) if conditions}.values()
+        known = "" if near else f"; things that they define: {', '.join(sorted(things))}"
+        return f'found the word "{word}"{meant}, which size, shape, colour and place of objects do not define{known}'
 
 
-def _is_known(word: str) -> bool:
-    begins = {phrase[0] for phrase in (*words.RELATIONS, *words.USES)}
-    tables = (words.ADJECTIVES, words.COMPARISONS, words.SUPERLATIVES, words.NEAREST, words.FILLERS, words.ROOM_WORDS)
-    return word in begins or any(word in table for table in tables) or word == "not" or _noun(word) is not None
+def stands_in(text: str) -> bool:
+    """Return whether geometry stands in for the looks of a thing of the text."""
+    return any(_noun(word, words.STAND_INS) is not None for word in _TOKEN.findall(text.lower()))
 
 
-def _unknown(word: str) -> str:
-    known = sorted({*words.ADJECTIVES, *words.NOUNS, *words.SUPERLATIVES, *words.COMPARISONS})
-    near = get_close_matches(word, known, n=3)
-    meant = f"; did you mean {' or '.join(near)}?" if near else ""
-    return (
-        f'found the word "{word}", of which size, shape, colour, height and relations of objects say nothing{meant} '
-        "hickory_stream/query/README.md lists the words"
-    )
+def _noun(word: str, nouns: Mapping[str, tuple[Condition, ...]]) -> tuple[Condition, ...] | None:
+    forms = (word, word.removesuffix("s"), word.removesuffix("es"), re.sub("ves$", "f", word))
+    return next((nouns[form] for form in forms if form in nouns), None)
+
+
+def _begins_clause(word: str) -> bool:
+    return word in {"and", "not", *words.COMPARISONS, *(phrase[0] for phrase in (*words.RELATIONS, *words.USES))}

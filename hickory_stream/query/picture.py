@@ -38,7 +38,7 @@ def draw_answers(saved: SavedMap, answers: Answers) -> NDArray[np.uint8]:
         left = _MARGIN_PX + i * (_TILE_PX + _MARGIN_PX)
         strip[_MARGIN_PX : _MARGIN_PX + len(tile), left : left + _TILE_PX] = tile
     heading = np.full((_CAPTION_PX + _MARGIN_PX, _SIZE[0], 3), 255, np.uint8)
-    _write(heading, f"{len(answers.found)} objects: {answers.question}", _MARGIN_PX, 0.6)
+    _write(heading, f"{len(answers.found)} found by {answers.judged_by}: {answers.question}", _MARGIN_PX, 0.6)
     return np.concatenate([heading, whole, strip] if tiles else [heading, whole])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import Literal
 
 
@@ -19,16 +20,22 @@ class Relation(StrEnum):
     NEAR = "near"
     IN_FRONT_OF = "in front of"
     BEHIND = "behind"
+    LEFT_OF = "left of"
+    RIGHT_OF = "right of"
 
 
 class Quantity(StrEnum):
-    """A comparable quantity in metres; `UNDERSIDE` is the height of an object's lowest point."""
+    """A comparable quantity in metres; `UNDERSIDE` is the height of an object's lowest point.
+
+    `SLENDERNESS` is a ratio: the height over the longer horizontal side.
+    """
 
     SIZE = "longest side"
     LENGTH = "longer horizontal side"
     WIDTH = "shorter horizontal side"
     HEIGHT = "height"
     UNDERSIDE = "height above the floor"
+    SLENDERNESS = "height over width"
 
 
 class Use(StrEnum):
@@ -41,9 +48,10 @@ class Use(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HasColor:
-    """The object has a colour of `COLOR_NAMES`."""
+    """The object has a colour of `COLOR_NAMES`; its `share` of the points does not suffice, and suffices fully."""
 
     name: str
+    share: tuple[float, float] = (0.2, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,6 +69,14 @@ class HasMeasure:
     quantity: Quantity
     zero_at: float
     one_at: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sized:
+    """Longer and shorter horizontal side and height lie in the ranges of things of this name, in metres."""
+
+    name: str
+    sides_m: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -117,13 +133,21 @@ class Not:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Either:
+    """An object that is one of some things; `name` is a word for all of them."""
+
+    name: str
+    things: tuple[Thing, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LooksLike:
     """The object looks like a text, by an image-text network."""
 
     text: str
 
 
-Condition = HasColor | HasShape | HasMeasure | Serves | Related | Most | Not | LooksLike
+Condition = HasColor | HasShape | HasMeasure | Sized | Serves | Related | Most | Not | Either | LooksLike
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -141,8 +165,9 @@ class Question:
     counts: bool
 
 
-def phrase_of(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
-    """Return a condition or a landmark in words."""
+def phrase_of(part: Condition | Thing | ObjectOfId | Place | Room, *, brief: bool = False) -> str:
+    """Return a condition or a landmark in words; `brief` leaves out sizes and alternatives."""
+    phrase = partial(phrase_of, brief=brief)
     match part:
         case HasColor() | HasShape():
             return part.name
@@ -150,17 +175,22 @@ def phrase_of(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
             return part.name
         case Most(nearest_to=landmark):
             assert landmark is not None
-            return f"nearest to {phrase_of(landmark)}"
+            return f"nearest to {phrase(landmark)}"
+        case Sized():
+            sides = " x ".join(f"{100 * low:.0f}-{100 * high:.0f}" for low, high in part.sides_m)
+            return f"{part.name}-sized" if brief else f"{part.name}-sized ({sides} cm)"
         case Serves():
             return str(part.use)
         case Related():
-            return f"{part.relation} {phrase_of(part.to)}"
+            return f"{part.relation} {phrase(part.to)}"
         case LooksLike():
             return f'looks like "{part.text}"'
+        case Either():
+            return part.name if brief else " or ".join(map(phrase, part.things))
         case Not():
-            return f"not {phrase_of(part.thing)}"
+            return f"not {phrase(part.thing)}"
         case Thing():
-            parts = ", ".join(map(phrase_of, part.conditions)) or "any object"
+            parts = ", ".join(map(phrase, part.conditions)) or "any object"
             return f"({parts})" if len(part.conditions) > 1 else parts
         case ObjectOfId():
             return f"#{part.id}"

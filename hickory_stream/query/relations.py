@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import assert_never
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +18,7 @@ _BESIDE_OVER = (0.5, 0.25)
 # Of an object's box, the share inside another one's.
 _INSIDE = (0.5, 0.8)
 _TOUCH_M = 0.05
-# In front: how far towards the viewer at most, and how far beside the line of sight, beyond half of the width.
+# In front, or to the left: how far that way at most, and how far off that way, beyond half of the width.
 _FRONT = (2.0, 1.2)
 _ASIDE = (0.4, 0.1)
 
@@ -30,7 +28,7 @@ def related(
 ) -> NDArray[np.float64]:
     """Return (P,) degrees in 0..1 of a relation of object i to object j of each pair.
 
-    `viewer` is the viewpoint of "in front of"; None: the best viewpoint of each j.
+    `viewer` is the viewpoint of "in front of" and "left of"; None: the best viewpoint of each j.
     """
     turned = Pairs(i=pairs.j, j=pairs.i)
     if relation is Relation.ON:
@@ -48,9 +46,7 @@ def related(
         return _is_beside(index, pairs)
     if relation is Relation.NEAR:
         return ramp(np.linalg.norm(_gaps(index, pairs), axis=1), *_NEAR)
-    if relation is Relation.IN_FRONT_OF or relation is Relation.BEHIND:
-        return _is_before(index, pairs, viewer, behind=relation is Relation.BEHIND)
-    assert_never(relation)
+    return _seen_beside(index, pairs, viewer, relation)
 
 
 def related_to_place(index: MapIndex, relation: Relation, x: float, y: float) -> NDArray[np.float64] | None:
@@ -124,10 +120,10 @@ def _is_beside(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
     return np.asarray(ramp(np.hypot(gaps[:, 0], gaps[:, 1]), *_BESIDE) * level * apart * _is_free(index, pairs))
 
 
-def _is_before(
-    index: MapIndex, pairs: Pairs, viewer: tuple[float, float] | None, *, behind: bool
+def _seen_beside(
+    index: MapIndex, pairs: Pairs, viewer: tuple[float, float] | None, relation: Relation
 ) -> NDArray[np.float64]:
-    # (P,) i lies between the viewer and j, near j; `behind`: beyond it.
+    # (P,) i lies near j in this direction, as the viewer sees it.
     centers = index.centers[:, :2]
     eyes = index.seen_from[:, :2] if viewer is None else np.broadcast_to(np.array(viewer), centers.shape)
     sight = centers - eyes
@@ -135,12 +131,18 @@ def _is_before(
     # Who was never seen, or stands where the viewer is, has no front.
     sight = np.divide(sight, lengths, out=np.zeros_like(sight), where=np.isfinite(lengths) & (lengths > 0))[pairs.j]
     offsets = centers[pairs.i] - centers[pairs.j]
-    along = (offsets * sight).sum(axis=1)
-    across = np.abs(offsets[:, 0] * sight[:, 1] - offsets[:, 1] * sight[:, 0])
-    towards = along if behind else -along
+    beyond = (offsets * sight).sum(axis=1)
+    left = sight[:, 0] * offsets[:, 1] - sight[:, 1] * offsets[:, 0]
+    ways = {
+        Relation.IN_FRONT_OF: (-beyond, left),
+        Relation.BEHIND: (beyond, left),
+        Relation.LEFT_OF: (left, beyond),
+        Relation.RIGHT_OF: (-left, beyond),
+    }
+    that_way, across = ways[relation]
     half = ((index.highs - index.lows)[:, :2].max(axis=1) / 2)[pairs.j]
-    near = ramp(towards, *_FRONT) * ramp(across - half, *_ASIDE)
-    return np.asarray(near * (towards > 0) * _is_free(index, pairs))
+    near = ramp(that_way, *_FRONT) * ramp(np.abs(across) - half, *_ASIDE)
+    return np.asarray(near * (that_way > 0) * _is_free(index, pairs))
 
 
 def _is_free(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:

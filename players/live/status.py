@@ -47,6 +47,8 @@ class LiveStatus:
 
     uri: str
     kind: str
+    #: No more messages are accepted; `problem` is the fault that ended them, "" without one.
+    has_ended: bool
     is_connected: bool
     problem: str
     #: Our clock less the robot's, None before the first image.
@@ -63,6 +65,7 @@ class LiveStatus:
 def status_of(route: LiveSource, log: LiveLog) -> LiveStatus:
     """Return the status of a route."""
     health, inbox = route.health(), log.inbox
+    is_connected = health.is_connected and not inbox.is_closed
     now_ns = inbox.clock()
     withdrawn = inbox.withdrawn()
     entries = []
@@ -83,16 +86,17 @@ def status_of(route: LiveSource, log: LiveLog) -> LiveStatus:
                 received=arrived.num_received,
                 dropped=arrived.fates.total() - lost,
                 lost=lost,
-                # A route that is down explains the silence of its topics.
-                problem=_problem(topic, role, age_s, arrived.fates, withdrawn) if health.is_connected else "",
+                # A route that is down, or has ended, explains the silence of its topics.
+                problem=_problem(topic, role, age_s, arrived.fates, withdrawn) if is_connected else "",
             )
         )
     offset_ns = log.clock_offset.offset_ns
     return LiveStatus(
         uri=route.uri,
         kind=route.kind,
-        is_connected=health.is_connected,
-        problem=health.problem,
+        has_ended=inbox.is_closed,
+        is_connected=is_connected,
+        problem=inbox.end_reason if inbox.is_closed else health.problem,
         clock_offset_s=None if offset_ns is None else round(offset_ns / 1e9, 3),
         clock_steps=log.clock_offset.num_steps,
         unlisted_topics=inbox.num_unlisted,
@@ -132,8 +136,8 @@ def status_table(status: LiveStatus) -> str:
         clock = f"; the robot's clock is {_span(status.clock_offset_s)} ours, its stamps are kept"
     if status.clock_steps:
         clock += f"; it was set again {status.clock_steps} time{'s' * (status.clock_steps > 1)}"
-    state = "connected" if status.is_connected else f"not connected: {status.problem}"
-    note = f"; {status.problem}" if status.is_connected and status.problem else ""
+    state = "ended" if status.has_ended else "connected" if status.is_connected else "not connected"
+    note = f": {status.problem}" if status.problem else ""
     lines = [f"{status.uri} ({status.kind}): {state}{note}{clock}"]
     shown = [entry for entry in status.topics if entry.role or entry.received]
     width = max((len(entry.topic) for entry in shown), default=0)

@@ -1,10 +1,11 @@
+import re
 from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
+from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal, count_text
 from hickory_stream.alignment.methods import METHODS, align_by
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.geometry.rigid import apply, invert
@@ -87,6 +88,30 @@ def test_unrelated_maps_are_refused(seed, count, is_hard):
     answer = refused(align(pair.map_a, pair.map_b))
     assert answer.reason
     assert answer.refusal in (Refusal.CHANCE, Refusal.TOO_FEW_PAIRS, Refusal.COLLINEAR, Refusal.UNCERTAIN)
+
+
+@pytest.mark.parametrize(
+    ("log10_count", "text"),
+    [
+        (3.1, "1,300"),
+        (0.0, "1"),
+        (-1.999, "0.011"),
+        (-2.0, "0.01"),
+        (7, "more than a million"),
+        (-30, "less than 0.000000001"),
+    ],
+)
+def test_expected_numbers_are_plain_and_rounded_up(log10_count, text):
+    assert count_text(log10_count) == text
+
+
+def test_a_refusal_for_chance_names_plain_numbers():
+    answers = (
+        align(pair.map_a, pair.map_b) for seed in range(20) for pair in [simulate_unrelated(SimulationConfig(), seed)]
+    )
+    reason = next(answer.reason for answer in answers if answer.refusal is Refusal.CHANCE)
+    number = re.search(r"of this size ([\d,.]+) sets of pairs that agree as well are expected; at most 0.01 is", reason)
+    assert float(number[1].replace(",", "")) > 0.01
 
 
 def test_a_map_and_itself_are_the_same_place():

@@ -4,7 +4,7 @@ import pytest
 from hickory_stream.changes import evidence
 from hickory_stream.changes.compare import compare_maps, probability_changed
 from hickory_stream.changes.evidence import evidence_at, seen_places
-from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, Verdict
+from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict, evidence_text
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.mapping.entities.rigid_motion import moved_object
@@ -118,6 +118,20 @@ def test_the_probability_of_a_change_follows_bayes_rule():
     # One look that is right in nine of ten cases: 0.2 * 0.9 / (0.2 * 0.9 + 0.8 * 0.1).
     assert probability_changed(seen(1.0, 0.0), config) == pytest.approx(0.18 / 0.26)
     assert probability_changed(seen(0.0, 1.0), config) == pytest.approx(0.02 / 0.74)
+
+
+@pytest.mark.parametrize(
+    ("free", "unseen", "text"),
+    [
+        (0.0, 1.0, "the second map did not see its place"),
+        (0.6, 0.4, "the second map saw in its place: 60% free space, 40% of it was not seen"),
+        (1.0, 0.0, "the second map saw in its place: 100% free space"),
+    ],
+)
+def test_the_evidence_says_plainly_what_was_seen(free, unseen, text):
+    seen = Evidence(free=free, structure=0.0, objects=0.0, unseen=unseen, num_clear=100)
+    change = ObjectChange(verdict=Verdict.GONE, id_a=1, id_b=None, probability=0.5, evidence=seen)
+    assert evidence_text(change) == text
 
 
 def test_in_a_run_what_is_seen_through_is_gone():

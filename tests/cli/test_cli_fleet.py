@@ -160,7 +160,10 @@ def test_the_recording_has_every_robot_and_moves_joined_ones(by_two):
         (("MADE/f.toml", "--robot", "a=b"), "expected either FLEET.toml, or --robot"),
         (("MADE/f.toml", "--every", "0"), "every_keyframes"),
         (("MADE/f.toml", "--processes", "-1"), "processes"),
-        (("--robot", "a=MADE/broken.mcap", "--robot", "b=MADE/broken.mcap"), "no robot gave a map: a: "),
+        (
+            ("--robot", "a=MADE/broken.mcap", "--robot", "b=MADE/broken.mcap"),
+            "no robot gave a map (a, b): each reason is above",
+        ),
     ],
 )
 def test_what_is_no_fleet_is_refused_in_one_line(made, tmp_path, arguments, said):
@@ -170,6 +173,8 @@ def test_what_is_no_fleet_is_refused_in_one_line(made, tmp_path, arguments, said
     assert last.startswith("hickory-stream: ")
     assert not list((tmp_path / "out").glob("*")), "nothing is left that a second try would stumble over"
     assert said in last
+    assert max(map(ended.stderr.splitlines().count, ended.stderr.splitlines())) == 1
+    assert ended.stderr.count("broken.mcap is") == 2 * ("a=MADE/broken.mcap" in arguments)
 
 
 def test_play_maps_a_fleet_where_robots_are_named(made, tmp_path):

@@ -16,6 +16,7 @@ from hickory_stream.cli.parser import make_parser
 from tests.readmes import blocks_of
 from tools.readmes import READMES
 
+CLI_README = Path(hickory_stream.__file__).parent / "cli" / "README.md"
 COMMANDS = [" ".join(path) for path, _ in commands_of(make_parser()) if path]
 
 
@@ -145,6 +146,42 @@ def test_old_commands_and_options_name_their_successor(words, answer, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(words)
     assert answer in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_help_lists_each_command_in_its_group(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    listed = capsys.readouterr().out.partition("commands:\n")[2]
+    groups = re.findall(r"^  (\w.*):\n((?:    .*\n)+)", listed, re.MULTILINE)
+    assert [name.split()[0] for name, _ in groups] == ["make", "look", "use", "compare", "measure", "maintain"]
+    names = [name for _, lines in groups for name in re.findall(r"^    (\w+) ", lines, re.MULTILINE)]
+    assert sorted(names) == sorted(name for name in COMMANDS if " " not in name)
+    assert all(re.search(rf"^# {name}$", blocks_of("sh", CLI_README), re.MULTILINE) for name, _ in groups)
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (["inspct", "m"], "found inspct, did you mean inspect?"),
+        (["xyzzy"], "found xyzzy, expected one of demo, play,"),
+        (["generators", "lst"], "found lst, did you mean list?"),
+        (["export", "m", "--format", "gbl"], "found gbl, did you mean glb?"),
+        (["inspect", "m", "--min-sise", "1"], "found --min-sise, did you mean --min-size?"),
+        (["inspect", "m", "n"], "found n, which is not expected; see hickory-stream inspect --help"),
+    ],
+)
+def test_a_misspelt_word_is_answered_by_what_is_near(words, answer, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert answer in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("alone", "action"), [("generators", "list"), ("models", "list"), ("cache", "show")])
+def test_a_group_alone_does_its_first_action(alone, action, capsys):
+    assert main([alone]) == 0
+    shown = capsys.readouterr().out
+    assert main([alone, action]) == 0
+    assert shown == capsys.readouterr().out != ""
 
 
 @pytest.mark.parametrize("module", ["hickory_stream.compiled", "hickory_stream.worlds.clutter.frames"])

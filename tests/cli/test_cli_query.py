@@ -35,7 +35,7 @@ def test_query_prints_what_answers_and_draws_it(folder, tmp_path, capsys):
     is_brown, is_blue = (np.abs(picture[80:836] - bgr).max(axis=2) < 40 for bgr in ((70, 110, 150), (180, 90, 60)))
     assert is_brown.sum() < 200 < is_blue.sum()
     assert main(["query", str(folder), "how many things"]) == 0
-    assert capsys.readouterr().out == "any object: 2 (#1, #4)\n"
+    assert capsys.readouterr().out == "any object: 2 (#1, #4), by geometry and colour alone\n"
 
 
 def test_an_unanswered_query_says_so_and_a_bad_one_is_refused(folder, capsys):
@@ -78,8 +78,11 @@ def test_an_image_text_network_tells_what_words_look_like(tmp_path, monkeypatch,
     made.save(snapshot)
     made.finish(finished_cleanly=True)
     query = ["query", str(made.path), "--json"]
-    assert main([*query, "a mug"]) == 2
+    assert main([*query, "a window"]) == 2
     assert "models add FOLDER --kind image-text" in capsys.readouterr().err
+    # What a mug looks like is unknown so far, its size is not.
+    assert main([*query, "a mug"]) == 3
+    assert json.loads(capsys.readouterr().out)["by"] == "geometry and colour alone"
 
     pair = write_pair(tmp_path / "colours")
     assert main(["models", "add", str(pair), "--kind", "image-text", "--licence", "CC0-1.0", "--json"]) == 0
@@ -91,6 +94,7 @@ def test_an_image_text_network_tells_what_words_look_like(tmp_path, monkeypatch,
         assert main([*query, question]) == 0
         told = json.loads(capsys.readouterr().out)
         assert [answer["object"] for answer in told["answers"]] == expected, question
+        assert told["by"] == "geometry, colour and an image-text network"
     assert main([*query, "a blue mug"]) == 3
     assert len(list((tmp_path / "cache" / "image-features").rglob("*.f32"))) == 2
 
@@ -104,7 +108,7 @@ def test_an_image_text_network_tells_what_words_look_like(tmp_path, monkeypatch,
     assert "views processed by colours: 2 of 2" in progress
 
     assert main(["models", "add", str(pair), "--kind", "image-text", "--name", "other"]) == 0
-    assert main([*query, "a mug"]) == 2
+    assert main([*query, "a window"]) == 2
     assert "there are several image-text networks (colours, other)" in capsys.readouterr().err
     assert main([*query, "a mug", "--model", "other"]) == 0
     (tmp_path / "models" / "other.tokenizer.json").unlink()

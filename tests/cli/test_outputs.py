@@ -111,11 +111,13 @@ def test_progress_keeps_to_its_form(capsys):
     assert checked(json.loads(capsys.readouterr().err))["frames"] == 3
 
 
-def test_the_schema_is_printed_for_one_and_for_all(capsys):
+def test_the_schema_is_printed_for_one_for_all_or_names_alone(capsys):
     assert main(["schema", "inspect"]) == 0
     one = json.loads(capsys.readouterr().out)
     assert "place" in one["properties"]["objects"]["items"]["properties"]
-    assert main(["schema"]) == 0
+    assert main(["schema", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["inspect"] == one
+    assert main(["schema"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(OUTPUTS)
     assert main(["schema", "poem"]) == 2
     assert "found no output poem, expected one of " in capsys.readouterr().err

@@ -117,7 +117,10 @@ def test_keyframes_of_a_drifting_odometry_are_mapped_truly(drifted):
     saved = open_map(run.folder.path)
     told, ledger = registration_summary(run.folder.path, saved.ledger), saved.ledger["frames"]
     assert told.moved_m > 0.05
-    assert told.text().startswith(f"odometry: {told.corrected} of {NUM_FRAMES} keyframes were registered to the map")
+    assert told.text().startswith(
+        f"odometry: of {NUM_FRAMES} keyframes {told.corrected} were moved to fit the map, "
+        f"{NUM_FRAMES - told.corrected} stayed at their odometry's pose, 0 did not fit and were left out; "
+    )
     assert ledger["keyframes_corrected"] == told.corrected >= NUM_FRAMES - 4
     assert ledger["keyframes"] == ledger["read"] == NUM_FRAMES
 
@@ -197,7 +200,9 @@ def test_a_carried_robot_continues_in_a_new_submap(tmp_path):
     assert len(open_map(run.folder.path).snapshot.submaps) == 2
     told = registration_summary(run.folder.path, open_map(run.folder.path).ledger)
     assert (told.kept_out, told.carried_away) == (7, 1)
-    assert "7 did not fit and were kept out; 1 time(s) the robot was elsewhere" in told.text()
+    assert told.text().startswith(f"odometry: of {frames['keyframes'] + 7} keyframes {told.corrected} were moved")
+    assert ", 7 did not fit and were left out; " in told.text()
+    assert "; once the robot was suddenly elsewhere than its odometry says" in told.text()
     jumps = events_of(run.folder.path, "PoseJumped")
     assert len(jumps) == 1
     assert isinstance(jumps[0], PoseJumped)

@@ -59,7 +59,10 @@ def test_json_holds_the_digest_and_the_table_shows_every_object(map_path, summar
     assert "desk.mcap: 3 objects (1 tentative, 2 active), finished cleanly" in table
     assert "99.90 % of 2000 pieces checked are inside" in table
     assert summary.digest in table
-    assert max(len(line) for line in table.splitlines()) <= 120
+    assert len(table.splitlines()) == 3 + 3 + 1 + 2
+    whole = format_table(summary, with_layers=True)
+    assert "superquadrics" in whole
+    assert max(len(line) for line in whole.splitlines()) <= 120
 
 
 def test_a_sketch_is_named_as_what_it_is(tmp_path):
@@ -74,7 +77,7 @@ def test_a_sketch_is_named_as_what_it_is(tmp_path):
     assert (summary.objects[1].num_superquadrics, summary.objects[1].layers) == (0, (1,))
     assert summary.objects[0].num_superquadrics == len(shaped.shape.fitted)
     assert summary.objects[0].num_inflated == len(shaped.shape.inflated)
-    assert "1 from points" in format_table(summary)
+    assert "1 from points" in format_table(summary, with_layers=True)
 
 
 def test_an_empty_map_has_a_table(tmp_path):
@@ -127,6 +130,23 @@ def test_objects_are_sorted_and_filtered_and_the_totals_stay(summary):
     assert "1 of 3 objects, finished cleanly" in format_table(near)
 
 
+def test_near_a_place_the_table_is_sorted_and_shows_distances(map_path, summary, capsys):
+    x, y, _ = summary.objects[-1].place.center_m
+    assert main(["inspect", str(map_path), f"--near={x},{y}"]) == 0
+    header, *rows = (line.split() for line in capsys.readouterr().out.splitlines()[2:6])
+    assert header[-2:] == ["away", "m"]
+    away_m = [float(row[-1]) for row in rows]
+    assert (rows[0][0], away_m[0]) == (str(summary.objects[-1].id), 0.0)
+    assert away_m == sorted(away_m) and away_m[-1] > 0
+
+
+def test_the_help_explains_the_words_of_the_table(map_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["inspect", "--help"])
+    explained = re.findall(r"^  (\w[\w, ]*?)  +\w", capsys.readouterr().out.partition("columns:")[2], re.MULTILINE)
+    assert {"phase", "submap", "held by", "outside"} <= set(explained)
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -156,7 +176,7 @@ def test_the_table_names_the_source_of_layer_three(map_path):
     objects = (replace(table, shape=hollow), *saved.snapshot.objects[1:])
     found = summarize(replace(saved, snapshot=replace(saved.snapshot, objects=objects)))
     assert (found.objects[0].fit_kind, found.objects[2].fit_kind) == ("envelope", None)
-    text = format_table(found)
+    text = format_table(found, with_layers=True)
     assert re.search(r"^ +1 .* 1 \(envelope, 88 B\)", text, re.MULTILINE)
     assert f"shape of 1: {hollow.verdict}" in text
     with pytest.raises(ValueError, match="layer 3 is of kind 'ball', not one of solid, panels, envelope"):

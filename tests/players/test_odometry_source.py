@@ -234,5 +234,7 @@ def test_the_command_writes_tum_and_the_errors(tmp_path, capsys):
     rows = np.loadtxt(out)
     assert rows.shape == (scenes.NUM_FRAMES, 8)
     np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=1e-6)
+    assert main([*asked, "--overwrite"]) == 0
+    assert capsys.readouterr().out.count(out.name) == 1
     assert main(["odometry", str(log), "--profile", "registered", "--odometry", "topic", "--truth", str(out)]) == 0
     assert "6 poses on a path of" in capsys.readouterr().out

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.output_files import add_output, disk_refusals, outputs_of, refuse_taken, written_text
+from hickory_stream.cli.output_files import add_output, disk_refusals
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.errors import RecordingError
 from hickory_stream.outputs import output
@@ -42,7 +42,6 @@ def run(options: argparse.Namespace) -> int:
     from players import open_source
     from players.opening import open_estimating
 
-    refuse_taken(outputs_of(options), overwrite=options.overwrite)
     asked = source_options(options)
     true = None if options.truth is None else _truth(options.truth)
     source = open_source(options.source, asked) if asked.odometry == "topic" else open_estimating(options.source, asked)
@@ -75,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     print(f"{len(poses)} poses of {by}; {spent_s / len(poses) * 1e3:.1f} ms of processor time a frame")
     print(
-        f"{counts['scans']} scans registered, {counts['degenerate']} of them degenerate along some direction; "
+        f"{counts['scans']} scans registered, {counts['degenerate']} of them without hold along some direction; "
         f"{counts['lost']} frames without a pose"
     )
     if error is not None:
@@ -83,8 +82,6 @@ def run(options: argparse.Namespace) -> int:
             f"ATE {error.ate_m:.4f} m (RMSE, aligned), RPE {error.rpe_m:.4f} m and {error.rpe_deg:.3f} degrees from "
             f"pose to pose; {error.num_poses} poses on a path of {error.way_m:.1f} m"
         )
-    if options.out is not None:
-        print(written_text(options.out))
     return 0
 
 

@@ -104,12 +104,12 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
     """Return an answer as text."""
     import numpy as np
 
-    from hickory_stream.alignment.answer import Alignment
+    from hickory_stream.alignment.answer import Alignment, count_text
 
     notes = [f"note: {note}" for note in answer.notes]
     if not isinstance(answer, Alignment):
         tried = [
-            f"  hypothesis: {len(h.pairs)} pairs, chance 10^{h.log10_chance:.1f}"
+            f"  hypothesis: {len(h.pairs)} pairs, {count_text(h.log10_chance)} such sets expected by chance"
             for h in answer.hypotheses[:3]
             if np.isfinite(h.log10_chance)
         ]
@@ -121,7 +121,7 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
         f"aligned by {len(answer.pairs)} pairs: {_place_text(answer.a_from_b)}",
         f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
         f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
-        f"  expected false alarms 10^{answer.log10_chance:.1f}; {_separation_text(answer)}",
+        f"  {count_text(answer.log10_chance)} such sets of pairs expected by chance; {_separation_text(answer)}",
         f"  of {against.num_expected} objects in observed places of the other map, {against.num_missing} are missing",
     ]
     return "\n".join([*lines, *notes])
@@ -136,7 +136,10 @@ def _place_text(a_from_b: NDArray[np.float64]) -> str:
 
 
 def _rival_text(rival: Rival) -> str:
-    return f"    {_place_text(rival.a_from_b)}: {rival.num_pairs} pairs, chance 10^{rival.log10_chance:.1f}"
+    from hickory_stream.alignment.answer import count_text
+
+    by_chance = f"{count_text(rival.log10_chance)} such sets expected by chance"
+    return f"    {_place_text(rival.a_from_b)}: {rival.num_pairs} pairs, {by_chance}"
 
 
 def _separation_text(answer: Alignment) -> str:

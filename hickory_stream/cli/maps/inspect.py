@@ -13,6 +13,26 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
+    from hickory_stream.inspection.inspect import SortBy
+
+
+_WORDS = """columns:
+  phase      tentative: a candidate; active: seen in the last seconds;
+             dormant, archived: seen earlier; room: a part of the room
+  sightings  keyframes that saw it
+  layers     1 points, 2 mesh, 3 superquadrics, 4 superquadrics that contain
+             the object; - is missing
+  x, y, z    middle of its upright box in the map
+  yaw deg    direction of the box's first side
+  litres     volume of the mesh, or of the box around the points
+  held by    the floor, another object as #ID (it rests on it, hangs from it or
+             is a part of it), or a wall that it leans on
+  away m     with --near: horizontal distance of its middle
+with --layers:
+  submap     part of the map that moves as one when drift is corrected
+  placed by  layer that gives position and size
+  views      kept pictures
+  outside    share of the checked pieces that are outside of its layer 4"""
 
 
 def add(commands: Commands) -> None:
@@ -21,16 +41,17 @@ def add(commands: Commands) -> None:
     inspect.add_argument(
         "--sort",
         choices=("id", "distance", "volume", "height", "sightings"),
-        default="id",
-        help="order of the objects; distance is from --near, or the map's origin",
+        help="order of the objects: id, or with --near its distance; distance alone is from the map's origin",
     )
     inspect.add_argument(
-        "--near", metavar="X,Y[,R]", help="only objects within R metres of this position, if R is given"
+        "--near", metavar="X,Y[,R]", help="sort by distance from this position; only within R metres, if R is given"
     )
+    inspect.add_argument("--layers", action="store_true", help="show the content, storage and time of the layers, too")
     inspect.add_argument(
         "--min-size", type=float, default=0.0, metavar="M", help="only objects with a side of this length or more"
     )
     add_at(inspect)
+    inspect.epilog = f"{inspect.epilog}\n\n{_WORDS}"
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,15 +60,20 @@ def run(options: argparse.Namespace) -> int:
     near, within_m = _near(options.near)
     if not 0 <= options.min_size < float("inf"):
         raise InputError(f"found --min-size {options.min_size:g}, expected metres, 0 or more")
+    sort: SortBy = options.sort or ("id" if near is None else "distance")
+    origin = (0.0, 0.0) if near is None and sort == "distance" else near
     found = summarize(open_map_at(options.map, options.at))
-    summary = chosen(found, sort=options.sort, near=near, within_m=within_m, min_size_m=options.min_size)
-    print(output("inspect", as_json(summary), indent=1) if options.json else format_table(summary))
+    summary = chosen(found, sort=sort, near=origin or (0.0, 0.0), within_m=within_m, min_size_m=options.min_size)
+    if options.json:
+        print(output("inspect", as_json(summary), indent=1))
+    else:
+        print(format_table(summary, with_layers=options.layers, near=origin))
     return 0
 
 
-def _near(text: str | None) -> tuple[tuple[float, float], float | None]:
+def _near(text: str | None) -> tuple[tuple[float, float] | None, float | None]:
     if text is None:
-        return (0.0, 0.0), None
+        return None, None
     place, _, radius = text.rpartition(",") if text.count(",") == 2 else (text, "", "")
     try:
         within_m = float(radius) if radius else None

@@ -32,7 +32,7 @@ def add(commands: Commands) -> None:
         "--from",
         dest="viewer",
         metavar="X,Y",
-        help='viewpoint of "in front of"; default: the best viewpoint of the landmark',
+        help='viewpoint of "in front of", "left of" and so on; default: the best viewpoint of the landmark',
     )
     query.add_argument(
         "--model", metavar="NAME", help="image-text network for words beyond geometry; default: the only one"
@@ -44,7 +44,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     from hickory_stream.config import as_far_as_known
     from hickory_stream.query.answers import ask
-    from hickory_stream.query.grammar import UnknownWord
+    from hickory_stream.query.grammar import UnknownWord, stands_in
     from hickory_stream.query.map_index import index_of
 
     top = positive(options.top, "--top")
@@ -53,10 +53,16 @@ def run(options: argparse.Namespace) -> int:
     saved = open_map_at(options.map, options.at)
     index = index_of(saved.snapshot, as_far_as_known(saved.manifest.config).mapping)
     question = " ".join(options.question)
+    network, why_none = _network_name(options.model)
+    looks = None
+    if network is not None and stands_in(question):
+        looks = _looks(saved, index, network, is_quiet=options.json)
     try:
-        answers = ask(index, question, viewer)
+        answers = ask(index, question, viewer, looks)
     except UnknownWord as unknown:
-        answers = ask(index, question, viewer, _looks(saved, index, options.model, unknown, is_quiet=options.json))
+        if network is None:
+            raise InputError(f"{unknown}; {why_none}") from unknown
+        answers = ask(index, question, viewer, _looks(saved, index, network, is_quiet=options.json))
     if options.out is not None:
         from hickory_stream.query.picture import draw_answers
 
@@ -65,18 +71,25 @@ def run(options: argparse.Namespace) -> int:
     return 0 if answers.found or answers.counts else NO_ANSWER
 
 
-def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputError, *, is_quiet: bool) -> ObjectLooks:
+def _network_name(model: str | None) -> tuple[str | None, str]:
+    # The image-text network to use, or why there is none.
+    from hickory_stream.perception.models.library import models_folder, read_manifest
+
+    there = [entry.name for entry in read_manifest(models_folder()).values() if entry.kind == "image-text"]
+    if model is not None or len(there) == 1:
+        return model or there[0], ""
+    if there:
+        return None, f"there are several image-text networks ({', '.join(there)}): choose one with --model"
+    return None, "an image-text network may know it (`hickory-stream models add FOLDER --kind image-text`)"
+
+
+def _looks(saved: SavedMap, index: MapIndex, name: str, *, is_quiet: bool) -> ObjectLooks:
     from hickory_stream.perception.models.image_text import open_image_text
-    from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
+    from hickory_stream.perception.models.library import find_model
     from hickory_stream.perception.models.network import Network, NetworkConfig
     from hickory_stream.query.looks import ObjectLooks
 
-    there = [entry.name for entry in read_manifest(models_folder()).values() if entry.kind == "image-text"]
-    if model is None and len(there) != 1:
-        one_of = f"there are several image-text networks ({', '.join(there)}): choose one with --model"
-        none = "an image-text network may know it (`hickory-stream models add FOLDER --kind image-text`)"
-        raise InputError(f"{unknown}; {one_of if there else none}")
-    entry, path = find_model(model or there[0], "image-text")
+    entry, path = find_model(name, "image-text")
     config = NetworkConfig(warm_up=False)
     network = open_image_text(entry, Network(path, config), config)
     preprocessor = next(one.sha256 for one in entry.companions if one.role == "preprocessor")
@@ -93,6 +106,7 @@ def _as_json(index: MapIndex, answers: Answers, top: int) -> dict[str, Any]:
     return {
         "question": answers.question,
         "counts": answers.counts,
+        "by": answers.judged_by,
         "count": len(answers.found),
         "answers": [_answer_json(index, answer) for answer in answers.found[:top]],
         "nearly": [_answer_json(index, answer) for answer in answers.nearly],
@@ -114,13 +128,14 @@ def _answer_json(index: MapIndex, answer: Answer) -> dict[str, Any]:
 def _as_text(index: MapIndex, answers: Answers, top: int) -> str:
     asked = f"{answers.question}: "
     if answers.counts:
-        return asked + str(len(answers.found)) + _listed(answers)
+        return f"{asked}{len(answers.found)}{_listed(answers)}, by {answers.judged_by}"
     if not answers.found:
         near = [f"  nearly: {_line(index, answer)}" for answer in answers.nearly]
-        return "\n".join([f"{asked}nothing in the map answers", *near])
+        return "\n".join([f"{asked}nothing in the map answers, by {answers.judged_by}", *near])
     lines = [_line(index, answer) for answer in answers.found[:top]]
     more = len(answers.found) - top
-    return "\n".join([f"{asked}{len(answers.found)} found", *lines, *([f"and {more} more"] if more > 0 else [])])
+    lines += [f"and {more} more"] if more > 0 else []
+    return "\n".join([f"{asked}{len(answers.found)} found, by {answers.judged_by}", *lines])
 
 
 def _listed(answers: Answers) -> str:

@@ -81,7 +81,7 @@ def _as_json(located: Located) -> dict[str, Any]:
 def _as_text(located: Located, start_ns: int | None) -> str:
     import numpy as np
 
-    from hickory_stream.alignment.answer import Alignment
+    from hickory_stream.alignment.answer import Alignment, count_text
 
     when = f"{(located.stamp_ns - (start_ns or 0)) / 1e9:.1f} s, {located.num_objects} objects"
     answer = located.answer
@@ -92,5 +92,5 @@ def _as_text(located: Located, start_ns: int | None) -> str:
     state = "confirmed" if located.is_confirmed else "differs from before" if located.has_jumped else "first answer"
     return (
         f"{when}: the log starts at ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {yaw_deg:.2f} deg; "
-        f"{len(answer.pairs)} pairs, chance 10^{answer.log10_chance:.1f}, {state}"
+        f"{len(answer.pairs)} pairs, {count_text(answer.log10_chance)} such sets expected by chance, {state}"
     )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands) -> None:
-    actions = commands.group("cache")
+    actions = commands.group("cache", _show)
     actions.add("show", _show)
     cleared = actions.add("clear", _clear)
     cleared.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands) -> None:
-    actions = commands.group("generators")
+    actions = commands.group("generators", _list)
     actions.add("list", _list)
     check = actions.add("check", _check)
     check.add_argument("name", metavar="NAME", help="TOML file, or name in the folder of generators")

@@ -27,7 +27,7 @@ _KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
 
 
 def add(commands: Commands) -> None:
-    actions = commands.group("models")
+    actions = commands.group("models", _list)
     actions.add("where", _where)
     actions.add("list", _list)
     adding = actions.add("add", _add)

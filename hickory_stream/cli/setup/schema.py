@@ -1,4 +1,4 @@
-"""`hickory-stream schema`: print the JSON Schema of a `--json` output."""
+"""`hickory-stream schema`: list the `--json` outputs, or print the JSON Schema of one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     schema = commands.add("schema", run)
-    schema.add_argument("name", nargs="?", metavar="OUTPUT", help="value of the key `output`; default: all")
+    schema.add_argument("name", nargs="?", metavar="OUTPUT", help="value of the key `output`; without it, list all")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,6 +23,13 @@ def run(options: argparse.Namespace) -> int:
 
     if options.name is not None and options.name not in OUTPUTS:
         raise InputError(f"found no output {options.name}, expected one of {', '.join(OUTPUTS)}")
-    schemas = {name: output_schema(name) for name in OUTPUTS} if options.name is None else output_schema(options.name)
-    print(dumps(schemas, indent=1))
+    if options.name is not None:
+        print(dumps(output_schema(options.name), indent=1))
+        return 0
+    schemas = {name: output_schema(name) for name in OUTPUTS}
+    if options.json:
+        print(dumps(schemas, indent=1))
+        return 0
+    width = max(map(len, schemas))
+    print("\n".join(f"{name:<{width}}  {schema['description'].splitlines()[0]}" for name, schema in schemas.items()))
     return 0

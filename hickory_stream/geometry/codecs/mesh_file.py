@@ -60,8 +60,11 @@ def mesh_of_file(data: bytes) -> Mesh:
     else:
         vertices = array_of(body[: ends[0]], _FLOAT, (count, 3))
         faces = _indices(array_of(body[ends[1] : ends[2]], _SIGNED, (3 * num_faces,)))
-    if not np.isfinite(vertices).all() or (num_faces and not 0 <= faces.min() <= faces.max() < count):
-        raise ValueError(f"a vertex is not finite, or a face names another one than the {count} that there are")
+    if not np.isfinite(vertices).all():
+        raise ValueError("a mesh with a vertex that is not finite")
+    wrong = faces[(faces < 0) | (faces >= count)]
+    if len(wrong):
+        raise ValueError(f"a mesh with a face of vertex {wrong[0]}, but with vertices 0 to {count - 1} only")
     return Mesh(
         vertices=vertices,
         faces=faces.reshape(-1, 3).astype(np.int32),

@@ -89,14 +89,13 @@ class RegistrationSummary:
         if not self.corrected and not self.kept_out:
             return ""
         text = (
-            f"odometry: {self.corrected} of {self.keyframes} keyframes were registered to the map, in the end by "
-            f"{self.moved_m:.3f} m and {self.turned_deg:.2f} degrees"
+            f"odometry: of {self.keyframes + self.kept_out} keyframes {self.corrected} were moved to fit the map, "
+            f"{self.keyframes - self.corrected} stayed at their odometry's pose, {self.kept_out} did not fit and were "
+            f"left out; in the end the correction is {self.moved_m:.3f} m and {self.turned_deg:.2f} degrees"
         )
-        if self.kept_out:
-            text += f"; {self.kept_out} did not fit and were kept out"
         if self.carried_away:
-            jumps = f"{self.carried_away} time(s) the robot was elsewhere than its odometry says"
-            text += f"; {jumps}: a submap begins there"
+            times = "once" if self.carried_away == 1 else f"{self.carried_away} times"
+            text += f"; {times} the robot was suddenly elsewhere than its odometry says, and a submap begins there"
         return text
 
 

@@ -3,6 +3,7 @@ from threading import Thread
 from players.live.inbox import MAX_TOPICS, Inbox
 from players.live.live_log import LiveLog
 from players.live.status import status_of, status_table
+from players.live.transport import Health
 from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
 
 IMAGE_TOPIC = next(packet.topic for packet in scene_packets() if packet.topic.name.endswith("rect/compressed"))
@@ -103,3 +104,10 @@ def test_the_status_says_rates_ages_and_what_is_wrong():
     table = status_table(status_of(route, log))
     assert "nobody publishes it any more" in table
     assert "never" in table
+    # Of a run that has ended nothing is tried again, and nothing is missing.
+    route.state = Health(is_connected=False, problem="the connection is lost; it is tried again")
+    assert "not connected: the connection is lost; it is tried again\n" in status_table(status_of(route, log))
+    log.end()
+    ended = status_table(status_of(route, log))
+    assert ended.startswith(f"{route.uri} ({route.kind}): ended\n")
+    assert "tried again" not in ended and "<-" not in ended
