@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, read_only
 from hickory_stream.geometry.portable_kernels import arctan2, cos, sin
 from hickory_stream.geometry.rigid import apply
 
@@ -70,7 +70,7 @@ class OrientedBox:
 
     def _holds(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool) -> NDArray[np.bool_]:
         limits = self.half_extents_m + margin_m
-        return _held(np.ascontiguousarray(points_world), self.world_from_box, limits, is_column)
+        return _held(read_only(points_world), self.world_from_box, limits, is_column)
 
     def grown(self, margin_m: float) -> OrientedBox:
         """Return the box with every half extent larger by `margin_m`."""
