@@ -98,6 +98,7 @@ class ProgressPrinter:
             counts = f"{self._where()}, {counts}"
         if progress.open_shapes:
             counts += f", {progress.open_shapes} shapes to come"
+            counts += " once their kernels are compiled" if progress.num_kernels else ""
         rate = self._rate(now_s)
         if progress.total is None:
             speed = "" if rate is None else f" {_shown(rate)}/s,"

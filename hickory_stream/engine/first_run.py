@@ -1,6 +1,7 @@
-"""The first run after an installation or update: kernels are compiled before anything is played.
+"""The first run after an installation or update: kernels are compiled before what needs them.
 
-Child processes compile one part each into the cache. If that fails, a kernel is compiled at its first call.
+Child processes compile one part each into the cache. If that fails, a kernel is compiled at its first call. As a
+program (`python -m hickory_stream.engine.first_run`) it compiles all parts and prints its progress.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ import contextlib
 import hashlib
 import json
 import logging
+import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Collection, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -27,36 +30,48 @@ _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
 _LEFT_OUT = "models"  # networks have kernels that few runs need
 _REPORT_EVERY_S = 1.0
+_PRINT_EVERY_S = 10.0
 _DECORATOR = "\n@kernel"
 
 
-async def compile_kernels(report: Callable[[int, int], None]) -> None:
-    """Compile missing kernels of a run into the cache; `report` receives the numbers compiled and estimated."""
+async def compile_kernels(
+    report: Callable[[int, int], None], *, in_background: Collection[str] = ()
+) -> asyncio.Task[None] | None:
+    """Compile missing kernels of a run into the cache; `report` receives the numbers compiled and estimated.
+
+    Parts `in_background` are compiled on, in the task that is returned; None where nothing is left.
+    """
     if await asyncio.to_thread(are_compiled):
-        return
+        return None
     # Its imports are needed only here.
     from hickory_stream.engine.warm_up import PARTS
 
     total = sum(text.count(_DECORATOR) for text in (file.read_text(encoding="utf-8") for file in _files()))
     known: set[str] = set()
 
-    def add(kernel: str) -> None:
-        known.add(kernel)
-        report(min(len(known), total), total)
-
     async def keep_reporting() -> None:
+        # A kernel takes seconds, and another process may compile it.
         while True:
             report(min(len(known), total), total)
             await asyncio.sleep(_REPORT_EVERY_S)
 
-    # A kernel takes seconds, and another process may compile it.
+    async def note_all() -> None:
+        if all(await asyncio.gather(*parts.values())):
+            await asyncio.to_thread(_note_compiled)
+
+    parts = {part: asyncio.create_task(_compile_part(part, known.add), name=f"compile-{part}") for part in PARTS}
+    everything = asyncio.create_task(note_all(), name="compile")
     reporting = asyncio.create_task(keep_reporting(), name="report-kernels")
     try:
-        done = await asyncio.gather(*(_compile_part(part, add) for part in PARTS))
+        await asyncio.gather(*(task for part, task in parts.items() if part not in in_background))
+    except BaseException:
+        everything.cancel()
+        raise
     finally:
         reporting.cancel()
-    if all(done):
-        await asyncio.to_thread(_note_compiled)
+    if not in_background:
+        await everything
+    return everything
 
 
 def are_compiled() -> bool:
@@ -116,3 +131,21 @@ def _files() -> Iterator[Path]:
         for file in sorted((_ROOT / package).rglob("*.py")):
             if _LEFT_OUT not in file.parts and _DECORATOR in file.read_text(encoding="utf-8"):
                 yield file
+
+
+def main() -> None:
+    """Compile the kernels of a run, with lines of progress on standard error."""
+    last_s = -math.inf
+
+    def show(done: int, total: int) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= _PRINT_EVERY_S:
+            last_s = time.monotonic()
+            sys.stderr.write(f"compiling kernels: {done} of about {total}\n")
+            sys.stderr.flush()
+
+    asyncio.run(compile_kernels(show))
+
+
+if __name__ == "__main__":
+    main()

@@ -19,6 +19,6 @@ class Progress:
     keyframes: int
     objects: int
     open_shapes: int
-    #: Compiled kernels of about `num_kernels`, in the phase `compiling`.
+    #: Compiled kernels of about `num_kernels`, which is 0 once all are compiled.
     num_compiled: int = 0
     num_kernels: int = 0

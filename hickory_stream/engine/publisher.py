@@ -62,15 +62,13 @@ class ReportPublisher:
         for sink in self._sinks:
             await sink.show(placed, waits=self._waits)
 
-    def progress(
-        self, phase: str, clock: RunClock, shapes: ShapeQueue, *, num_compiled: int = 0, num_kernels: int = 0
-    ) -> None:
-        """Report the progress of the run."""
+    def progress(self, phase: str, clock: RunClock, shapes: ShapeQueue, *, kernels: tuple[int, int]) -> None:
+        """Report the progress of the run; `kernels` are the numbers compiled and estimated while some are missing."""
         self._progress(
             Progress(
                 phase=phase,
-                num_compiled=num_compiled,
-                num_kernels=num_kernels,
+                num_compiled=kernels[0],
+                num_kernels=kernels[1],
                 frames=clock.num_frames,
                 total=self.total,
                 keyframes=clock.num_keyframes,

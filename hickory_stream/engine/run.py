@@ -93,6 +93,8 @@ class Run:
         self._loops = LoopCloser(config.loops, config.graph, extractor=parts.extractor.name, mode=parts.mode)
         # One thread reads ahead, one perceives and decides, so that both keep their order.
         self._mapping_thread = ThreadPoolExecutor(1, "think")
+        self._compiling: asyncio.Task[None] | None = None
+        self._kernels = (0, 0)
         targets = EffectTargets(
             folder=folder,
             recorder=self._recorder,
@@ -180,7 +182,10 @@ class Run:
         source, resumes = self._parts.source, self._parts.resumes
         total = source.info.num_frames
         self._publisher.total = total * loops if total is not None else None
-        await self._stop.within_grace(compile_kernels(partial(self._report, "compiling")), "compile")
+        # A log can wait for its shapes; a robot does not wait, and compiling takes the processors that it needs.
+        in_background = ("shapes",) if self._parts.mode == "playback" else ()
+        report = partial(self._report, "compiling")
+        self._compiling = await self._stop.within_grace(compile_kernels(report, in_background=in_background), "compile")
         if self._parts.rehearse is not None and not self._stop.is_requested:
             await on_thread(self._mapping_thread, self._parts.rehearse)
         try:
@@ -204,6 +209,9 @@ class Run:
                 raise error.exceptions[0] from error
             raise
         finally:
+            if self._compiling is not None:
+                self._compiling.cancel()
+                await asyncio.gather(self._compiling, return_exceptions=True)
             self._reader.close()
             self._loops.close()
             self._mapping_thread.shutdown(wait=True)
@@ -379,8 +387,11 @@ class Run:
         )
 
     def _report(self, phase: str, num_compiled: int = 0, num_kernels: int = 0) -> None:
-        kernels = {"num_compiled": num_compiled, "num_kernels": num_kernels}
-        self._publisher.progress(phase, self._clock, self._shapes, **kernels)
+        if phase == "compiling":
+            self._kernels = (num_compiled, num_kernels)
+        elif self._compiling is None or self._compiling.done():
+            self._kernels = (0, 0)
+        self._publisher.progress(phase, self._clock, self._shapes, kernels=self._kernels)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

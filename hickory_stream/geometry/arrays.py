@@ -25,6 +25,13 @@ def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], n
     return array
 
 
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only, C-contiguous view, a copy where need be: kernels are compiled for one kind of array."""
+    view = np.ascontiguousarray(array)[...]
+    view.flags.writeable = False
+    return view
+
+
 def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None, ...]) -> None:
     """Replace an array field of a frozen dataclass by its checked read-only form (for `__post_init__`)."""
     label = f"{type(record).__name__}.{name}"

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.arrays import read_only
 
 
 def bounds_of(points: NDArray[Any]) -> NDArray[Any]:
     """Return (2, 3) the least and greatest coordinates of (N, 3) points, N >= 1, in their own precision."""
     assert len(points) > 0
-    return _bounds_of(points)
+    return _bounds_of(read_only(points))
 
 
 def extent_of(points: NDArray[Any]) -> NDArray[Any]:
@@ -25,7 +26,8 @@ def extent_of(points: NDArray[Any]) -> NDArray[Any]:
 @kernel
 def _bounds_of(points):
     bounds = np.empty((2, 3), dtype=points.dtype)
-    bounds[:] = points[0]
+    for k in range(3):
+        bounds[0, k] = bounds[1, k] = points[0, k]
     for i in range(1, len(points)):
         for k in range(3):
             bounds[0, k], bounds[1, k] = min(bounds[0, k], points[i, k]), max(bounds[1, k], points[i, k])

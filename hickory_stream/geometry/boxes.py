@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, read_only
 from hickory_stream.geometry.portable_kernels import arctan2, cos, sin
 from hickory_stream.geometry.rigid import apply
 
@@ -70,7 +70,7 @@ class OrientedBox:
 
     def _holds(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool) -> NDArray[np.bool_]:
         limits = self.half_extents_m + margin_m
-        return _held(np.ascontiguousarray(points_world), self.world_from_box, limits, is_column)
+        return _held(read_only(points_world), self.world_from_box, limits, is_column)
 
     def grown(self, margin_m: float) -> OrientedBox:
         """Return the box with every half extent larger by `margin_m`."""
@@ -162,18 +162,20 @@ def _smallest_upright(points, min_half_extent):
     hull = _hull_2d(points)
     angles = _side_angles(hull)
     sizes, _ = _rectangles(hull, angles)
-    best = 0
-    least = np.inf
+    # Of equal rectangles the one of the smallest angle.
+    angle, least = 0.0, np.inf
     for i in range(len(angles)):
         area = sizes[0, i] * sizes[1, i] + 1e-9 * (sizes[0, i] + sizes[1, i])
-        if area < least:
-            best, least = i, area
-    return _upright(points, hull, angles[best], min_half_extent)
+        if area < least or (area == least and angles[i] < angle):
+            angle, least = angles[i], area
+    return _upright(points, hull, angle, min_half_extent)
 
 
 @kernel
 def _upright(points, hull, angle, min_half_extent):
-    sizes, lows = _rectangles(hull, np.full(1, angle))
+    angles = np.empty(1)
+    angles[0] = angle
+    sizes, lows = _rectangles(hull, angles)
     z_low, z_high = points[0, 2], points[0, 2]
     for i in range(1, len(points)):
         z_low, z_high = min(z_low, points[i, 2]), max(z_high, points[i, 2])
@@ -185,16 +187,19 @@ def _upright(points, hull, angle, min_half_extent):
         pose[k, 3] = 0.0 + pose[k, 0] * along + pose[k, 1] * across + pose[k, 2] * up
     half = np.empty(3)
     half[0], half[1], half[2] = sizes[0, 0] / 2, sizes[1, 0] / 2, (z_high - z_low) / 2
-    return pose, np.maximum(half, min_half_extent)
+    for k in range(3):
+        half[k] = max(half[k], min_half_extent)
+    return pose, half
 
 
 @kernel
 def _side_angles(hull):
     angles = np.empty(len(hull))
     for i in range(len(hull)):
-        p, q = hull[i], hull[(i + 1) % len(hull)]
-        angles[i] = abs(arctan2(q[1] - p[1], q[0] - p[0]) % (np.pi / 2))  # no zero with a sign
-    return np.sort(angles)
+        j = i + 1 if i + 1 < len(hull) else 0
+        # No zero with a sign.
+        angles[i] = abs(arctan2(hull[j, 1] - hull[i, 1], hull[j, 0] - hull[i, 0]) % (np.pi / 2))
+    return angles
 
 
 @kernel
@@ -203,15 +208,13 @@ def _rectangles(hull, angles):
     sizes, lows = np.empty((2, len(angles))), np.empty((2, len(angles)))
     for n in range(len(angles)):
         c, s = cos(angles[n]), sin(angles[n])
-        low = np.full(2, np.inf)
-        high = np.full(2, -np.inf)
+        low, high, near, far = np.inf, -np.inf, np.inf, -np.inf
         for i in range(len(hull)):
             along = 0.0 + hull[i, 0] * c + hull[i, 1] * s
             across = 0.0 + hull[i, 0] * -s + hull[i, 1] * c
-            low[0], high[0] = min(low[0], along), max(high[0], along)
-            low[1], high[1] = min(low[1], across), max(high[1], across)
-        for k in range(2):
-            sizes[k, n], lows[k, n] = high[k] - low[k], low[k]
+            low, high = min(low, along), max(high, along)
+            near, far = min(near, across), max(far, across)
+        sizes[0, n], lows[0, n], sizes[1, n], lows[1, n] = high - low, low, far - near, near
     return sizes, lows
 
 
@@ -232,20 +235,25 @@ def _hull_2d(points):
     if len(corners) > 1:
         return corners
     twice = np.empty((2, 2))
-    twice[0], twice[1] = corners[0], corners[0]
+    for k in range(2):
+        twice[k, 0], twice[k, 1] = corners[0, 0], corners[0, 1]
     return twice
 
 
 @kernel
 def _by_x_then_y(points):
-    order = np.argsort(points[:, 0].copy())
-    out = points[order]
-    for i in range(1, len(out)):
-        k = i
-        while k > 0 and out[k - 1, 0] == out[k, 0] and out[k - 1, 1] > out[k, 1]:
-            out[k - 1, 1], out[k, 1] = out[k, 1], out[k - 1, 1]
-            k -= 1
-    return out
+    # Shell's method, in place: numba's own sort takes a second to compile.
+    gap = len(points)
+    while gap > 1:
+        gap = max(1, gap * 5 // 11)
+        for i in range(gap, len(points)):
+            x, y = points[i, 0], points[i, 1]
+            k = i
+            while k >= gap and (points[k - gap, 0] > x or (points[k - gap, 0] == x and points[k - gap, 1] > y)):
+                points[k, 0], points[k, 1] = points[k - gap, 0], points[k - gap, 1]
+                k -= gap
+            points[k, 0], points[k, 1] = x, y
+    return points
 
 
 @kernel
@@ -255,11 +263,11 @@ def _outer(points):
     edges, offsets = np.empty((8, 2)), np.empty(8)
     count = 0
     for k in range(8):
-        p, q = points[extreme[k]], points[extreme[(k + 1) % 8]]
-        x, y = q[0] - p[0], q[1] - p[1]
+        i, j = extreme[k], extreme[(k + 1) & 7]
+        x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
         if x != 0.0 or y != 0.0:
             # Left of an edge: edge x (point - start) > 0, which is linear in the point.
-            edges[count, 0], edges[count, 1], offsets[count] = x, y, x * p[1] - y * p[0]
+            edges[count, 0], edges[count, 1], offsets[count] = x, y, x * points[i, 1] - y * points[i, 0]
             count += 1
     out = np.empty((len(points), 2))
     kept = 0
@@ -299,18 +307,19 @@ def _monotone_chain(points):
     for sweep in range(2):
         start = size
         for k in range(count):
-            p = points[k] if sweep == 0 else points[count - 1 - k]
+            at = k if sweep == 0 else count - 1 - k
+            x, y = points[at, 0], points[at, 1]
             while size - start >= 2:
-                a, b = hull[size - 2], hull[size - 1]
-                if (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > 0.0:
+                ax, ay, bx, by = hull[size - 2, 0], hull[size - 2, 1], hull[size - 1, 0], hull[size - 1, 1]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
                     break
                 size -= 1
-            if size > start and hull[size - 1, 0] == p[0] and hull[size - 1, 1] == p[1]:
+            if size > start and hull[size - 1, 0] == x and hull[size - 1, 1] == y:
                 continue
-            hull[size] = p
+            hull[size, 0], hull[size, 1] = x, y
             size += 1
         size -= 1  # the last point of a sweep is the first of the next
-    return hull[: max(size, 1)].copy()
+    return hull[: max(size, 1)]
 
 
 @kernel
@@ -350,8 +359,8 @@ def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tol
                 normal[i] = sign * rotation[i, axis]
                 middle[i] = offset[i] + normal[i] * half[axis]
             for corner in range(4):
-                du = half[u] if corner in (1, 2) else -half[u]
-                dv = half[v] if corner in (2, 3) else -half[v]
+                du = half[u] if corner == 1 or corner == 2 else -half[u]
+                dv = half[v] if corner >= 2 else -half[v]
                 for i in range(3):
                     polygon[corner, i] = middle[i] + rotation[i, u] * du + rotation[i, v] * dv
             count = 4
@@ -362,61 +371,45 @@ def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tol
                     height = n0 * other_offset[0] + n1 * other_offset[1] + n2 * other_offset[2] + other_half[other_axis]
                     if count:
                         count = _clip(polygon, room, count, n0, n1, n2, height, tolerance)
-            area[:] = 0.0
+            area[0], area[1], area[2] = 0.0, 0.0, 0.0
             for i in range(1, count - 1):
-                ax, ay, az = (
-                    polygon[i, 0] - polygon[0, 0],
-                    polygon[i, 1] - polygon[0, 1],
-                    polygon[i, 2] - polygon[0, 2],
-                )
-                bx, by, bz = (
-                    polygon[i + 1, 0] - polygon[0, 0],
-                    polygon[i + 1, 1] - polygon[0, 1],
-                    polygon[i + 1, 2] - polygon[0, 2],
-                )
-                area[0] += 0.5 * (ay * bz - az * by)
-                area[1] += 0.5 * (az * bx - ax * bz)
-                area[2] += 0.5 * (ax * by - ay * bx)
-            total += abs(_dot(area, normal)) * _dot(normal, middle) / 3.0
+                for k in range(3):
+                    after, beyond = (k + 1) % 3, (k + 2) % 3
+                    au, av = polygon[i, after] - polygon[0, after], polygon[i, beyond] - polygon[0, beyond]
+                    bu, bv = polygon[i + 1, after] - polygon[0, after], polygon[i + 1, beyond] - polygon[0, beyond]
+                    area[k] += 0.5 * (au * bv - av * bu)
+            facing = area[0] * normal[0] + area[1] * normal[1] + area[2] * normal[2]
+            height = normal[0] * middle[0] + normal[1] * middle[1] + normal[2] * middle[2]
+            total += abs(facing) * height / 3.0
     return total
 
 
 @kernel
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def _separated(half_a, half_b, rotation, offset, tolerance):
-    for i in range(3):
-        reach_a = half_a[i] + (np.abs(rotation[i, :]) * half_b).sum()
-        reach_b = half_b[i] + (np.abs(rotation[:, i]) * half_a).sum()
-        distance_b = abs((offset * rotation[:, i]).sum())
-        if abs(offset[i]) >= reach_a - tolerance or distance_b >= reach_b - tolerance:
-            return True
-    return False
-
-
-@kernel
-def _intersection_volume(half_a, half_b, rotation, offset):
+def _shared_volume(world_from_a, half_a, world_from_b, half_b):
     # A face that the boxes share (same plane, same side) must be counted once: the faces of a are clipped by b with a
     # small tolerance outwards, those of b by a with the same tolerance inwards.
-    tolerance = 1e-10 * max(half_a.max(), half_b.max())
-    if _separated(half_a, half_b, rotation, offset, 4.0 * tolerance):
-        return 0.0
-    identity, origin = np.eye(3), np.zeros(3)
-    return _cones(identity, origin, half_a, rotation, offset, half_b, tolerance) + _cones(
-        rotation, offset, half_b, identity, origin, half_a, -tolerance
-    )
-
-
-@kernel
-def _shared_volume(world_from_a, half_a, world_from_b, half_b):
-    rotation, offset = np.empty((3, 3)), np.empty(3)
+    rotation, offset, identity, origin = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
     a, b = world_from_a, world_from_b
     x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
+    tolerance = 0.0
     for i in range(3):
         for j in range(3):
             rotation[i, j] = a[0, i] * b[0, j] + a[1, i] * b[1, j] + a[2, i] * b[2, j]
+            identity[i, j] = 1.0 if i == j else 0.0
         offset[i] = 0.0 + a[0, i] * x + a[1, i] * y + a[2, i] * z
-    return _intersection_volume(half_a, half_b, rotation, offset)
+        origin[i] = 0.0
+        tolerance = max(tolerance, 1e-10 * half_a[i], 1e-10 * half_b[i])
+    for i in range(3):
+        reach_a, reach_b, along = 0.0, 0.0, 0.0
+        for j in range(3):
+            reach_a += abs(rotation[i, j]) * half_b[j]
+            reach_b += abs(rotation[j, i]) * half_a[j]
+            along += offset[j] * rotation[j, i]
+        if (
+            abs(offset[i]) >= half_a[i] + reach_a - 4.0 * tolerance
+            or abs(along) >= half_b[i] + reach_b - 4.0 * tolerance
+        ):
+            return 0.0
+    return _cones(identity, origin, half_a, rotation, offset, half_b, tolerance) + _cones(
+        rotation, offset, half_b, identity, origin, half_a, -tolerance
+    )

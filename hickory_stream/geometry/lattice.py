@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.arrays import read_only
 from hickory_stream.geometry.codecs.packing import array_of, signed
 
 STEPS_PER_M = 32768.0
@@ -45,7 +46,7 @@ def points_of(steps: NDArray[np.int32], steps_per_m: float = STEPS_PER_M) -> NDA
 def packed_points(points: NDArray[np.float32], steps_per_m: float = STEPS_PER_M) -> bytes | None:
     """Return the bytes (12 N) of (N, 3) points, changes in steps as `unsigned` counts; None where `steps_of` is."""
     out = np.empty(12 * len(points), dtype=np.uint8)
-    return out.tobytes() if _pack_points(points, np.float32(steps_per_m), out) else None
+    return out.tobytes() if _pack_points(read_only(points), np.float32(steps_per_m), out) else None
 
 
 def unpacked_steps(data: bytes, count: int) -> NDArray[np.int32]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.arrays import read_only
 
 _BITS = 21
 _OFFSET = 1 << (_BITS - 1)
@@ -56,7 +57,7 @@ def within_bounds(sorted_keys: NDArray[np.int64], low: NDArray[np.int64], high: 
 
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
     """Return the (N,) keys of the voxels that hold (N, 3) finite points; neither sorted nor unique."""
-    return _keys_of_points(np.ascontiguousarray(points), float(voxel_m))
+    return _keys_of_points(read_only(points), float(voxel_m))
 
 
 def centers_of_keys(keys: NDArray[np.int64], voxel_m: float) -> NDArray[np.float32]:
@@ -66,7 +67,7 @@ def centers_of_keys(keys: NDArray[np.int64], voxel_m: float) -> NDArray[np.float
 
 def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return for each query whether it is among the sorted keys; quickest where queries are near those before them."""
-    return _contains(sorted_keys, queries)
+    return _contains(read_only(sorted_keys), read_only(queries))
 
 
 def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -76,12 +77,12 @@ def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> N
 
 def are_near(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return for each query whether its voxel, or one of the 26 around it, is among the sorted keys, as `contains`."""
-    return _are_near(sorted_keys, queries)
+    return _are_near(read_only(sorted_keys), read_only(queries))
 
 
 def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what np.searchsorted does: before which of the sorted keys each query belongs."""
-    return _places(sorted_keys, queries)
+    return _places(read_only(sorted_keys), read_only(queries))
 
 
 def coarse_keys(keys: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
@@ -102,10 +103,11 @@ def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the union of `new` and the difference of `a` and `gone`, all sorted, in one walk; `a` where it is that."""
-    at_gone, at_new, fresh = _changes(a, gone, new)
+    keys = read_only(a)
+    at_gone, at_new, fresh = _changes(keys, read_only(gone), read_only(new))
     if len(at_gone) + len(fresh) == 0:
         return a
-    return np.asarray(_exchanged(a, at_gone, at_new, fresh))
+    return np.asarray(_exchanged(keys, at_gone, at_new, fresh))
 
 
 def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -162,7 +164,7 @@ def first_not_below(sorted_keys, key, start):
 @kernel
 def _places(sorted_keys, queries):
     out = np.empty(len(queries), dtype=np.int64)
-    at = 0
+    at = np.int64(0)
     for i in range(len(queries)):
         at = first_not_below(sorted_keys, queries[i], at)
         out[i] = at
@@ -172,7 +174,7 @@ def _places(sorted_keys, queries):
 @kernel
 def _contains(sorted_keys, queries):
     out = np.empty(len(queries), dtype=np.bool_)
-    at = 0
+    at = np.int64(0)
     for i in range(len(queries)):
         at = first_not_below(sorted_keys, queries[i], at)
         out[i] = at < len(sorted_keys) and sorted_keys[at] == queries[i]
@@ -183,14 +185,15 @@ def _contains(sorted_keys, queries):
 def _changes(a, gone, new):
     # A key that goes and comes stays, as in a difference and a union after it. Places ascend also where keys do not, as
     # in an altered journal: `_exchanged` writes by them.
-    at_gone, num_gone, at = np.empty(len(gone), dtype=np.int64), 0, 0
+    # Zeros of a type, not literals, for which `first_not_below` would be compiled once more.
+    at_gone, num_gone, at = np.empty(len(gone), dtype=np.int64), 0, np.int64(0)
     for i in range(len(gone)):
         at = first_not_below(a, gone[i], at)
         if at < len(a) and a[at] == gone[i] and (num_gone == 0 or at > at_gone[num_gone - 1]):
             at_gone[num_gone] = at
             num_gone += 1
     at_new, fresh = np.empty(len(new), dtype=np.int64), np.empty(len(new), dtype=np.int64)
-    num_fresh, at, g = 0, 0, 0
+    num_fresh, at, g = 0, np.int64(0), 0
     for i in range(len(new)):
         at = first_not_below(a, new[i], at)
         if at < len(a) and a[at] == new[i]:
@@ -230,8 +233,9 @@ def _exchanged(a, gone, at, new):
     while g < len(gone) or f < len(new):
         puts = g == len(gone) or (f < len(new) and at[f] <= gone[g])
         place = at[f] if puts else gone[g]
-        out[n : n + place - start] = a[start:place]
-        n += place - start
+        for i in range(start, place):
+            out[n] = a[i]
+            n += 1
         start = place
         if puts:
             out[n] = new[f]
@@ -240,7 +244,9 @@ def _exchanged(a, gone, at, new):
         else:
             start += 1
             g += 1
-    out[n:] = a[start:]
+    for i in range(start, len(a)):
+        out[n] = a[i]
+        n += 1
     return out
 
 
@@ -269,7 +275,7 @@ def sums_of_equal(keys: NDArray[np.int64], weights: NDArray[np.int64] | None = N
 
 def groups_of(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return (N,) the number of each key's group, and the (groups,) keys, in the order in which they come first."""
-    return _groups_of(keys)
+    return _groups_of(read_only(keys))
 
 
 @kernel
@@ -300,7 +306,7 @@ def _groups_of(keys):
             count += np.int32(1)
         last = table[slot]
         groups[i] = last
-    return groups, distinct[:count].copy()
+    return groups, distinct[:count]
 
 
 @kernel

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.arrays import read_only
 from hickory_stream.geometry.codecs.packing import color_planes, colors_of
 from hickory_stream.geometry.voxels import keys_of_cells
 
@@ -24,7 +25,8 @@ def packed_means(colors: NDArray[np.float32]) -> bytes | None:
         hits, sums = np.zeros(len(rows), dtype=np.uint8), np.zeros((len(rows), 3), dtype=np.int32)
         off = np.zeros((3, len(rows)), dtype=np.uint8)
         # By their bits, so that what is no number is none.
-        _split(np.ascontiguousarray(rows), rows.view(np.int32), hits, sums, off)
+        values = read_only(rows)
+        _split(values, values.view(np.int32), hits, sums, off)
         if 2 * np.count_nonzero(hits) < len(rows):
             return None
     counts = np.maximum(hits, 1)[:, None].astype(np.int32)
@@ -56,7 +58,6 @@ def unpacked_means(data: bytes, count: int) -> NDArray[np.float32]:
 def _split(colors, bits, hits, sums, off):
     # `hits`: the number of colours that each is a mean of, 0 for none. The number of the neighbour before is tried
     # first.
-    one, as_bits = np.empty(1, dtype=np.float32), np.empty(1, dtype=np.int32)
     last = 1
     for i in range(len(colors)):
         for attempt in range(_MOST_HITS + 1):
@@ -68,9 +69,7 @@ def _split(colors, bits, hits, sums, off):
                     fits = False
                     break
                 total = np.int64(np.rint(color * count))
-                one[0] = total / count
-                as_bits[:] = one.view(np.int32)
-                difference = np.int64(bits[i, k]) - np.int64(as_bits[0])
+                difference = np.int64(bits[i, k]) - np.int64(np.float32(total / count).view(np.int32))
                 if not -_MOST_OFF <= difference <= _MOST_OFF or total >= 256 * count:
                     fits = False
                     break
@@ -92,14 +91,14 @@ _STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_
 def packed_colors(keys: NDArray[np.int64], colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return (3, N) residuals of (N, 3) colours of voxels of strictly ascending keys: red and blue against green."""
     left: NDArray[np.uint8] = np.empty((3, len(keys)), dtype=np.uint8)
-    _pack(keys, colors, left)
+    _pack(read_only(keys), np.array(colors, order="C"), left)
     return left
 
 
 def unpacked_colors(keys: NDArray[np.int64], left: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the (N, 3) colours of the residuals that `packed_colors` gave."""
     colors = np.empty((len(keys), 3), dtype=np.uint8)
-    _unpack(keys, left, colors)
+    _unpack(read_only(keys), read_only(left), colors)
     return colors
 
 
@@ -136,7 +135,7 @@ def _expected(keys, colors, i, beside, behind):
 
 @kernel
 def _pack(keys, colors, left):
-    beside, behind = 0, 0
+    beside, behind = np.int64(0), np.int64(0)
     for i in range(len(keys)):
         red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
         off = np.int64(colors[i, 1]) - green
@@ -147,7 +146,7 @@ def _pack(keys, colors, left):
 
 @kernel
 def _unpack(keys, left, colors):
-    beside, behind = 0, 0
+    beside, behind = np.int64(0), np.int64(0)
     for i in range(len(keys)):
         red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
         off = np.int64(left[1, i])

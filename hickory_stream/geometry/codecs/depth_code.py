@@ -23,7 +23,7 @@ def packed_depths(images: Sequence[NDArray[np.uint16]]) -> bytes:
     short, long = np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.uint16)
     at, num_long, last = 0, 0, 0
     for image in images:
-        at, num_long, last = _pack(image, short, long, at, num_long, last)
+        at, num_long, last = _pack(np.array(image, order="C"), short, long, at, num_long, last)
     return short.tobytes() + long[:num_long].astype("<u2").tobytes()
 
 

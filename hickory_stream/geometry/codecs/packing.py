@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
-
 
 def planes_of(array: NDArray[Any]) -> bytes:
     """Return the bytes of an array of at least one dimension: columns after one another, first bytes first."""
@@ -40,26 +38,12 @@ def signed(numbers: NDArray[np.uint32]) -> NDArray[np.int32]:
 
 def color_planes(colors: NDArray[np.uint8]) -> bytes:
     """Return the bytes of (N, 3) colours: red and blue against green, all against the colour before."""
-    planes = np.empty((3, len(colors)), dtype=np.uint8)
-    _put_color_planes(colors, planes)
-    return planes.tobytes()
+    red, green, blue = np.asarray(colors, dtype=np.uint8).T
+    # Bytes wrap.
+    return np.diff(np.stack([red - green, green, blue - green]), axis=1, prepend=np.uint8(0)).tobytes()
 
 
 def colors_of(planes: bytes, count: int) -> NDArray[np.uint8]:
     """Return the (N, 3) colours of `color_planes`; raises ValueError where there are not as many."""
     red, green, blue = np.cumsum(np.frombuffer(planes, np.uint8).reshape(3, count), axis=1, dtype=np.uint8)
     return np.stack([red + green, green, blue + green], axis=1)
-
-
-@kernel
-def _put_color_planes(colors, planes):
-    red, green, blue = np.int64(0), np.int64(0), np.int64(0)
-    for i in range(len(colors)):
-        now_green = np.int64(colors[i, 1])
-        now_red, now_blue = np.int64(colors[i, 0]) - now_green, np.int64(colors[i, 2]) - now_green
-        planes[0, i], planes[1, i], planes[2, i] = (
-            (now_red - red) & 255,
-            (now_green - green) & 255,
-            (now_blue - blue) & 255,
-        )
-        red, green, blue = now_red, now_green, now_blue
