@@ -18,6 +18,7 @@ from hickory_stream.pictures.labels import (
     most_visible,
     place_labels,
 )
+from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, draw_legend
 from hickory_stream.pictures.rasterize import Dots, first_hits
 from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
@@ -87,6 +88,8 @@ def render_map(
         if len(storeys) > 1:
             draw_caption(above.of(below), f"floor at {storey.floor_m:.2f} m: {len(storey.objects)} objects")
     draw_title(image[:_TITLE_PX], _title(saved, storeys, layers))
+    if 2 in layers:
+        draw_legend(image, [(GENERATED_TEXT, GENERATED)])
     return image
 
 

@@ -15,6 +15,7 @@ from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells, keys_of_points
+from hickory_stream.pictures.legend import with_tint, with_tinted_image
 from hickory_stream.pictures.rasterize import Dots
 from hickory_stream.pictures.raycast import Surface
 
@@ -63,7 +64,10 @@ def coarse_squares(dots: Dots, viewpoint: Viewpoint) -> Surface:
 
 
 def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Surface:
-    """Return layer 2, with a texture of at most `texture_px` a side unless that is 0; raises `MapFolderError`."""
+    """Return layer 2 with generated surface tinted; raises `MapFolderError`.
+
+    Its texture has at most `texture_px` a side; 0 is colours of vertices.
+    """
     assert tracked.shape is not None
     mesh, uv, image = saved.mesh(tracked.shape), None, None
     if texture_px:
@@ -71,9 +75,10 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
 
         # As it was known earlier, a map may name views that are not kept.
         textured = textured_object(saved.views, tracked, mesh, texture_px, is_past=True)
-        mesh, uv, image = textured.mesh, textured.uv, textured.image
+        mesh, uv, image = textured.mesh, textured.uv, with_tinted_image(textured)
     vertices = apply(tracked.shape.world_from_object, mesh.vertices)
-    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id, uv=uv, image=image)
+    colors = with_tint(mesh.colors, mesh.is_seen)
+    return Surface(vertices=vertices, faces=mesh.faces, colors=colors, owner=tracked.id, uv=uv, image=image)
 
 
 def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
