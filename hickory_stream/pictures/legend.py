@@ -66,4 +66,4 @@ def draw_legend(image: NDArray[np.uint8], entries: Sequence[tuple[str, Color]]) 
     """Draw a legend over the lower right corner of a view."""
     legend = legend_of(entries, image.shape[1])
     corner = image[-len(legend) :, -legend.shape[1] :]
-    corner[:] = np.round(0.25 * corner + 0.75 * legend[-len(corner) :]).astype(np.uint8)
+    corner[:] = legend[: len(corner)]

@@ -16,18 +16,19 @@ from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import Superquadrics, outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.map_folder.layout import SHAPES, VIEWS
+from hickory_stream.pictures.legend import with_tint, with_tinted_image
 from hickory_stream.records import TrackedObject
 
 
 def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
-    """Return a layer-2 mesh in the world with normals: the viewer draws a GLB without them flat."""
+    """Return a layer-2 mesh in the world, generated surface tinted, with normals: the viewer draws it flat without."""
     mesh = mesh_of_file(read_within(path.parent, path.name))
     vertices = mesh.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
     return rr.Mesh3D(
         vertex_positions=vertices.astype(np.float32),
         triangle_indices=mesh.faces,
         vertex_normals=_vertex_normals(vertices, mesh.faces),
-        vertex_colors=mesh.colors,
+        vertex_colors=with_tint(mesh.colors, mesh.is_seen),
     )
 
 
@@ -50,7 +51,7 @@ def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> An
         triangle_indices=textured.mesh.faces,
         vertex_normals=normals[textured.source],
         vertex_texcoords=textured.uv,
-        albedo_texture=textured.image,
+        albedo_texture=with_tinted_image(textured),
     )
 
 

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 # A growing cloud is logged at most this often.
 _CLOUD_PERIOD_S = 1.0
-# Floor and walls are logged every n-th keyframe.
-_STRUCTURE_EVERY = 20
 
 
 class RerunScene:
@@ -101,9 +99,7 @@ class RerunScene:
             items += self._graph.items(report)
             items += self._layers.update(report.snapshot.objects, report.stamp_ns)
             items += self._labels.update(report.snapshot.objects, report.stamp_ns)
-            assert report.keyframe_index is not None
-            if report.keyframe_index % _STRUCTURE_EVERY == 0:
-                items += self._structure.items(report.snapshot)
+            items += self._structure.grown(report.snapshot, report.space)
         return items
 
     def _first_items(self) -> list[LogItem]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys
-from hickory_stream.records import MapSnapshot, Submap
+from hickory_stream.records import MapSnapshot, SpaceObservation, Submap
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
 
 FLOOR, WALLS = "world/structure/floor", "world/structure/walls"
 _MAX_POINTS = 20_000
 _FLOOR_BAND_M = 0.10
+# Logged again when so much larger, or after so many keyframes.
+_GROWTH, _MOST_KEYFRAMES = 1.25, 20
 _NONE = np.zeros((0, 3), np.float32)
 
 
@@ -24,6 +26,21 @@ class Structure:
 
     def __init__(self) -> None:
         self._parts: dict[int, _Part] = {}
+        self._count, self._age = 0, 0
+
+    def grown(self, snapshot: MapSnapshot, seen: SpaceObservation | None) -> list[LogItem]:
+        """Return the items if the structure grew by a quarter, or is old; before there is any, what a keyframe saw."""
+        count = sum(len(submap.observed_space.structure) for submap in snapshot.submaps)
+        self._age += 1
+        if count == 0 and self._count == 0 and seen is not None and snapshot.submaps:
+            space = replace(
+                snapshot.submaps[-1].observed_space, structure=seen.structure_keys, floor_z_m=seen.floor_z_m
+            )
+            return self.items(replace(snapshot, submaps=(replace(snapshot.submaps[-1], observed_space=space),)))
+        if self._age < _MOST_KEYFRAMES and count <= _GROWTH * self._count:
+            return []
+        self._count, self._age = count, 0
+        return self.items(snapshot)
 
     def items(self, snapshot: MapSnapshot) -> list[LogItem]:
         """Return the structure voxels of all submaps."""
