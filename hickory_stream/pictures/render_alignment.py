@@ -52,10 +52,7 @@ def render_alignment(
     else:
         _draw_apart(image[_TITLE_PX:], width // 2, map_a, map_b)
     draw_title(image[:_TITLE_PX], _title(map_a, map_b, answer))
-    entries = [("map a", BLUE), ("map b", ORANGE)]
-    if isinstance(answer, Alignment):
-        entries += [("of a without a partner", _pale(BLUE)), ("of b without a partner", _pale(ORANGE))]
-    draw_legend(image, entries)
+    draw_legend(image, alignment_meanings(is_aligned=isinstance(answer, Alignment)))
     return image
 
 
@@ -171,7 +168,7 @@ def _surfaces(
     """Return layer 3 of every object, or its box if it has none."""
     surfaces = []
     for object_id, shape, box in zip(objects.ids, objects.shapes, objects.boxes, strict=True):
-        own = color if int(object_id) in matched else _pale(color)
+        own = color if int(object_id) in matched else pale(color)
         if shape is None:
             parts: list[tuple[NDArray[Any], NDArray[Any]]] = [(apply(frame_from_map, box.corners_world()), _BOX_FACES)]
         else:
@@ -183,7 +180,15 @@ def _surfaces(
     return surfaces
 
 
-def _pale(color: tuple[int, int, int]) -> tuple[int, int, int]:
+def alignment_meanings(*, is_aligned: bool) -> list[tuple[str, tuple[int, int, int]]]:
+    """Return the texts and colours of a legend."""
+    entries = [("map a", BLUE), ("map b", ORANGE)]
+    alone = [("of a without a partner", pale(BLUE)), ("of b without a partner", pale(ORANGE))]
+    return entries + alone if is_aligned else entries
+
+
+def pale(color: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Return the colour of an object without a partner."""
     r, g, b = (round(c + (225 - c) * _PALE) for c in color)
     return r, g, b
 

@@ -155,18 +155,27 @@ def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Sur
     return surfaces
 
 
-def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surface:
-    """Return the walls: from above as a floor plan, else their inner faces that face the viewer."""
+def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint | None, most: int | None = None) -> Surface:
+    """Return the walls: from above as a floor plan, else their inner faces that face the viewer, or all (None).
+
+    More than `most` faces are drawn as fewer and larger ones.
+    """
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
     height_m = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)[:, 2] - floor_z_m
     cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
-    if viewpoint.is_orthographic:
+    if viewpoint is not None and viewpoint.is_orthographic:
         return _floor_plan(cells, submap)
     parts = [_facing(cells, step, submap, viewpoint) for step in _STEPS]
     centers = np.concatenate([center for center, _ in parts])
     normals = np.concatenate([np.broadcast_to(normal, center.shape) for center, normal in parts])
-    return _wall_squares(centers, normals, space.voxel_m)
+    side_m = space.voxel_m
+    while most is not None and len(centers) > most:
+        side_m *= 2
+        keys = keys_of_points(centers, side_m) + keys_of_points(np.round(normals) * 0.5, 1.0)
+        _, chosen = np.unique(keys, return_index=True)
+        centers, normals = centers[chosen], normals[chosen]
+    return _wall_squares(centers, normals, side_m)
 
 
 def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
@@ -177,13 +186,13 @@ def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
 
 
 def _facing(
-    cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint
+    cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     space = submap.observed_space
     exposed = _in_a_wall(cells[contains(space.free, keys_of_cells(cells + step))], step)
     normal = submap.world_from_submap[:3, :3] @ step
     centers = apply(submap.world_from_submap, (exposed + 0.5 + 0.5 * step) * space.voxel_m)
-    return centers[viewpoint.towards_eye(centers) @ normal > 0], normal
+    return centers if viewpoint is None else centers[viewpoint.towards_eye(centers) @ normal > 0], normal
 
 
 def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[np.int64]:

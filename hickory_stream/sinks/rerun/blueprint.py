@@ -10,13 +10,12 @@ from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPEC
 from hickory_stream.sinks.rerun.frame import CAMERA, TRAJECTORY
 from hickory_stream.sinks.rerun.graph import GRAPH
 from hickory_stream.sinks.rerun.items import KEYFRAME
-from hickory_stream.sinks.rerun.labels import LABELS
+from hickory_stream.sinks.rerun.labels import BACKGROUND, LABELS, LEGEND
 from hickory_stream.sinks.rerun.objects import FILLED, FITTED_LAYER, INFLATED_LAYER, MESH_LAYER, POINTS_LAYER
 from hickory_stream.sinks.rerun.plots import DECISIONS, OBJECT_DECISIONS, PLOTS
-from hickory_stream.sinks.rerun.structure import FLOOR
+from hickory_stream.sinks.rerun.structure import FLOOR, WALLS
 from hickory_stream.sinks.rerun.views import VIEWS, sheet_px
 
-BACKGROUND = (22, 25, 31)
 ROBOT = "robot"
 """The entity that says how a live route and its topics are."""
 
@@ -54,13 +53,13 @@ def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: 
             _plot("Pose graph", "graph"),
         ),
     )
-    # As wide as the window: a list of candidates is one long line.
     robot = [rrb.TextDocumentView(origin=ROBOT, name="Robot")] if is_live else []
-    decisions = rrb.Tabs(_log(DECISIONS, "Decisions"), _log(OBJECT_DECISIONS, "Decisions by object"), *robot)
+    important = _log(DECISIONS, "Merges, drops, splits, confirmations", ["WARN", "INFO"])
+    others = (_log(DECISIONS, "All decisions, with scores of views"), _log(OBJECT_DECISIONS, "Decisions by object"))
+    # Nearly as wide as the window: a list of candidates is one long line.
+    below = rrb.Horizontal(rrb.Tabs(important, *others, *robot), legend_view(), column_shares=[14, 6])
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(layers, superquadrics, images, column_shares=[10, 4, 6]), decisions, row_shares=[4, 1]
-        ),
+        rrb.Vertical(rrb.Horizontal(layers, superquadrics, images, column_shares=[10, 4, 6]), below, row_shares=[4, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=KEYFRAME, play_state="following"),
@@ -71,7 +70,7 @@ def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: 
 def one_map(name: str, corners: NDArray[np.float64], *, timeline: str) -> rrb.Blueprint:
     """Return the layout of a single view with (N, 3) points in it, on its own timeline."""
     return rrb.Blueprint(
-        _bare_view(name, ["/**"], corners, WHOLE_ASPECT),
+        _over_legend(_bare_view(name, ["/world/**"], corners, WHOLE_ASPECT)),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=timeline),
@@ -83,12 +82,16 @@ def side_by_side(views: dict[str, tuple[list[str], NDArray[np.float64]]]) -> rrb
     """Return the layout of still views side by side: by name, the entities and (N, 3) points in view."""
     aspect = WHOLE_ASPECT if len(views) == 1 else SIDE_ASPECT
     return rrb.Blueprint(
-        rrb.Horizontal(*(_bare_view(name, paths, corners, aspect) for name, (paths, corners) in views.items())),
+        _over_legend(*(_bare_view(name, paths, corners, aspect) for name, (paths, corners) in views.items())),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="hidden"),
         auto_views=False,
     )
+
+
+def _over_legend(*views: rrb.Spatial3DView) -> rrb.Vertical:
+    return rrb.Vertical(rrb.Horizontal(*views), legend_view(), row_shares=[10, 1])
 
 
 def _bare_view(name: str, paths: list[str], corners: NDArray[np.float64], aspect: float) -> rrb.Spatial3DView:
@@ -105,10 +108,16 @@ def _bare_view(name: str, paths: list[str], corners: NDArray[np.float64], aspect
 def _map_view(
     name: str, layers: list[str], eye: rrb.EyeControls3D | None, *, is_main: bool = False
 ) -> rrb.Spatial3DView:
-    extras = [f"+ {FLOOR}/**"]
+    extras = [f"+ {FLOOR}/**", f"+ {WALLS}/**"]
     if is_main:
         # The images are left out: they would hang in the room at the camera and hide what is behind them.
-        extras += [f"+ {TRAJECTORY}/**", f"+ {GRAPH}/**", f"+ {CAMERA}", f"+ {LABELS}/**", f"+ {FILLED}/**"]
+        extras += [
+            f"+ {TRAJECTORY}/**",
+            f"+ {GRAPH}/**",
+            f"+ {CAMERA}",
+            f"+ {LABELS}/**",
+            f"+ {FILLED}/**",
+        ]
     return rrb.Spatial3DView(
         origin="world",
         name=name,
@@ -132,6 +141,13 @@ def _plot(name: str, group: str) -> rrb.TimeSeriesView:
     )
 
 
-def _log(origin: str, name: str) -> rrb.TextLogView:
+def legend_view() -> rrb.Spatial2DView:
+    """Return the view of the legend (`labels.legend_item`)."""
+    return rrb.Spatial2DView(origin=LEGEND, name="Legend", background=BACKGROUND)
+
+
+def _log(origin: str, name: str, levels: list[str] | None = None) -> rrb.TextLogView:
     columns = rrb.TextLogColumns(timeline_columns=[KEYFRAME], text_log_columns=["loglevel", "body"])
-    return rrb.TextLogView(origin=origin, name=name, columns=columns)
+    # The SDK complains about rows without anything in them.
+    rows = None if levels is None else rrb.TextLogRows(filter_by_log_level=levels)
+    return rrb.TextLogView(origin=origin, name=name, columns=columns, rows=rows)

@@ -17,7 +17,7 @@ from hickory_stream.sinks.rerun.frame import (
 )
 from hickory_stream.sinks.rerun.graph import GraphLines
 from hickory_stream.sinks.rerun.items import LogItem, Span
-from hickory_stream.sinks.rerun.labels import ObjectLabels
+from hickory_stream.sinks.rerun.labels import MEANINGS, ObjectLabels, legend_item
 from hickory_stream.sinks.rerun.objects import ObjectLayers
 from hickory_stream.sinks.rerun.plots import Plots, decision_items
 from hickory_stream.sinks.rerun.structure import Structure
@@ -105,4 +105,5 @@ class RerunScene:
     def _first_items(self) -> list[LogItem]:
         import rerun as rr
 
-        return [LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC)]
+        axes = LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC)
+        return [axes, legend_item(MEANINGS)]
