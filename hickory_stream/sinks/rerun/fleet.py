@@ -236,8 +236,8 @@ def _blueprint(corners: NDArray[np.float64], ever: NDArray[np.float64]) -> Any:
     # (N, 3) corners of the final map, and of all that was shown at any time.
     import rerun.blueprint as rrb
 
-    from hickory_stream.sinks.rerun.blueprint import BACKGROUND
     from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
+    from hickory_stream.sinks.rerun.labels import BACKGROUND
 
     main, wide = (
         rrb.Spatial3DView(

@@ -31,24 +31,29 @@ class Structure:
 
     def __init__(self) -> None:
         self._parts: dict[int, _Part] = {}
-        self._count, self._age = 0, 0
+        self._age = 0
 
     def grown(self, snapshot: MapSnapshot, seen: SpaceObservation | None) -> list[LogItem]:
-        """Return the items if the structure grew by a quarter, or is old; before there is any, what a keyframe saw."""
-        count = sum(len(submap.observed_space.structure) for submap in snapshot.submaps)
+        """Return the items if a submap grew by half, or is old; before there is any, what this keyframe saw."""
         self._age += 1
-        if count == 0 and self._count == 0 and seen is not None and snapshot.submaps:
-            space = replace(
-                snapshot.submaps[-1].observed_space,
-                structure=seen.structure_keys,
-                free=seen.free_keys,
-                floor_z_m=seen.floor_z_m,
-            )
-            return self.items(replace(snapshot, submaps=(replace(snapshot.submaps[-1], observed_space=space),)))
-        if self._age < _MOST_KEYFRAMES and count <= _GROWTH * self._count:
+        if any(self._grew(submap) for submap in snapshot.submaps) or (self._parts and self._age >= _MOST_KEYFRAMES):
+            self._age = 0
+            return self.items(snapshot)
+        if self._parts or seen is None or not snapshot.submaps:
             return []
-        self._count, self._age = count, 0
-        return self.items(snapshot)
+        last = snapshot.submaps[-1]
+        space = replace(last.observed_space, structure=seen.structure_keys, free=seen.free_keys)
+        submap = replace(last, observed_space=replace(space, floor_z_m=seen.floor_z_m))
+        items = self.items(replace(snapshot, submaps=(submap,)))
+        self._parts = {}
+        return items
+
+    def _grew(self, submap: Submap) -> bool:
+        known = self._parts.get(submap.id)
+        # The arrays of a submap that stays are not looked at: they may be compressed.
+        if known is not None and known.submap.observed_space is submap.observed_space:
+            return False
+        return len(submap.observed_space.structure) > _GROWTH * (0 if known is None else known.count)
 
     def items(self, snapshot: MapSnapshot) -> list[LogItem]:
         """Return the structure voxels of all submaps."""
@@ -73,6 +78,7 @@ class _Part:
     submap: Submap
     floor: NDArray[np.float32]
     walls: rr.Mesh3D
+    count: int
 
 
 def _part_of(submap: Submap) -> _Part:
@@ -89,4 +95,4 @@ def _part_of(submap: Submap) -> _Part:
         albedo_factor=WALLS_COLOR,
         face_rendering=rr.components.MeshFaceRendering.Front,
     )
-    return _Part(submap, apply(submap.world_from_submap, centers[is_floor]), walls)
+    return _Part(submap, apply(submap.world_from_submap, centers[is_floor]), walls, len(centers))
