@@ -18,8 +18,8 @@ from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.pictures.labels import draw_labels, draw_scale, draw_title, flat_labels
 from hickory_stream.pictures.legend import draw_legend
 from hickory_stream.pictures.raycast import Surface
-from hickory_stream.pictures.render_view import Floor, Model, draw_view
-from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.pictures.render_view import Model, draw_view, floor_around
+from hickory_stream.pictures.viewpoint import Viewpoint, corners_of, from_above, from_corner
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,7 +61,7 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
     in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
     bounds_a, bounds_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
     both = np.concatenate([bounds_a, bounds_b])
-    floor = _floor(both)
+    floor = floor_around(both, float(both[:, 2].min()))
     # Overlaid: map b is translucent.
     over = Model(
         solid=_surfaces(map_a, np.eye(4), in_a, BLUE),
@@ -153,7 +153,7 @@ def _draw_apart(image: NDArray[np.uint8], middle: int, map_a: ObjectMap, map_b: 
             translucent=[],
             points=[],
             submaps=objects.submaps,
-            floor=_floor(corners),
+            floor=floor_around(corners, float(corners[:, 2].min())),
         )
         above = from_above(corners, x1 - x0, height, _MARGIN_PX)
         panel = draw_view(model, above)
@@ -194,22 +194,8 @@ def pale(color: tuple[int, int, int]) -> tuple[int, int, int]:
 
 
 def _corners(objects: ObjectMap, frame_from_map: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners of all boxes, or those of a cube of 2 m if there is no object."""
-    if not len(objects):
-        return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
-    return np.asarray(apply(frame_from_map, np.concatenate([box.corners_world() for box in objects.boxes])))
-
-
-def _floor(corners: NDArray[np.float64]) -> Floor:
-    import cv2
-
-    cell_m, margin_m = 0.05, 0.5
-    origin = corners[:, :2].min(axis=0) - margin_m
-    columns, rows = np.ceil((corners[:, :2].max(axis=0) + margin_m - origin) / cell_m).astype(int)
-    weights = np.zeros((rows, columns), dtype=np.float32)
-    weights[6:-6, 6:-6] = 1.0
-    weights = cv2.GaussianBlur(weights, (0, 0), 2.0)
-    return Floor(z_m=float(corners[:, 2].min()), origin_m=origin, cell_m=cell_m, weights=weights)
+    corners = corners_of(objects.boxes)
+    return np.asarray(apply(frame_from_map, corners)) if len(objects) else corners
 
 
 def _title(map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> str:

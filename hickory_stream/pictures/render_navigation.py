@@ -49,9 +49,7 @@ def render_plan(
     draw_scale(picture[_TITLE_PX:], canvas.pixels_per_m)
     draw_title(picture[:_TITLE_PX], _title(space, answer))
     legend = legend_of(_meanings(space, answer), picture.shape[1])
-    below = np.full((len(legend) + _MARGIN_PX // 3, picture.shape[1], 3), 255, np.uint8)
-    below[: len(legend), : legend.shape[1]] = legend
-    return np.concatenate([picture, below])
+    return np.concatenate([picture, legend, picture[-_MARGIN_PX // 3 :, :1].repeat(picture.shape[1], axis=1)])
 
 
 def _meanings(space: FreeSpace, answer: Path | NoPath) -> list[tuple[str, tuple[int, int, int]]]:

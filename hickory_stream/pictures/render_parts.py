@@ -166,15 +166,13 @@ def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint | None, 
     cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
     if viewpoint is not None and viewpoint.is_orthographic:
         return _floor_plan(cells, submap)
-    parts = [_facing(cells, step, submap, viewpoint) for step in _STEPS]
+    parts, side_m = [_facing(cells, step, submap, viewpoint) for step in _STEPS], space.voxel_m
+    while most is not None and sum(len(center) for center, _ in parts) > most:
+        side_m *= 2
+        firsts = [np.unique(keys_of_points(center, side_m), return_index=True)[1] for center, _ in parts]
+        parts = [(center[first], normal) for first, (center, normal) in zip(firsts, parts, strict=True)]
     centers = np.concatenate([center for center, _ in parts])
     normals = np.concatenate([np.broadcast_to(normal, center.shape) for center, normal in parts])
-    side_m = space.voxel_m
-    while most is not None and len(centers) > most:
-        side_m *= 2
-        keys = keys_of_points(centers, side_m) + keys_of_points(np.round(normals) * 0.5, 1.0)
-        _, chosen = np.unique(keys, return_index=True)
-        centers, normals = centers[chosen], normals[chosen]
     return _wall_squares(centers, normals, side_m)
 
 

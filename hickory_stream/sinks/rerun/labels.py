@@ -123,10 +123,8 @@ def label_items(
 
 def legend_item(entries: Sequence[tuple[str, Color]], width_px: int = _LEGEND_PX) -> LogItem:
     """Return a legend as a picture on a dark ground, which stays."""
-    drawn = legend_of(entries, width_px, ink=(225, 228, 234), ground=BACKGROUND)
     # As wide as its view, which would enlarge a smaller one.
-    picture = np.full((len(drawn), width_px, 3), BACKGROUND, dtype=np.uint8)
-    picture[:, : drawn.shape[1]] = drawn
+    picture = legend_of(entries, width_px, ink=(225, 228, 234), ground=BACKGROUND)
     _, png = cv2.imencode(".png", picture[..., ::-1])
     image = rr.EncodedImage(contents=png.tobytes(), media_type="image/png")
     return LogItem(path=LEGEND, archetypes=(image,), span=Span.STATIC)

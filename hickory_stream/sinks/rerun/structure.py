@@ -17,6 +17,7 @@ from hickory_stream.pictures.render_parts import wall_surface
 from hickory_stream.records import MapSnapshot, SpaceObservation, Submap
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.labels import FLOOR_COLOR, WALLS_COLOR
+from hickory_stream.sinks.rerun.meshes import mesh_of_surface
 
 FLOOR, WALLS = "world/structure/floor", "world/structure/walls"
 _MAX_POINTS = _MAX_FACES = 20_000
@@ -34,9 +35,15 @@ class Structure:
         self._age = 0
 
     def grown(self, snapshot: MapSnapshot, seen: SpaceObservation | None) -> list[LogItem]:
-        """Return the items if a submap grew by half, or is old; before there is any, what this keyframe saw."""
+        """Return the items if the structure grew by half, or is old; before there is any, what this keyframe saw."""
         self._age += 1
-        if any(self._grew(submap) for submap in snapshot.submaps) or (self._parts and self._age >= _MOST_KEYFRAMES):
+        count, before = 0, 0
+        for submap in snapshot.submaps:
+            part = self._parts.get(submap.id)
+            # The arrays of a submap that stays are not looked at: they may be compressed.
+            if part is None or part.submap.observed_space is not submap.observed_space:
+                count, before = count + len(submap.observed_space.structure), before + (part.count if part else 0)
+        if count > _GROWTH * before or (self._parts and self._age >= _MOST_KEYFRAMES):
             self._age = 0
             return self.items(snapshot)
         if self._parts or seen is None or not snapshot.submaps:
@@ -47,13 +54,6 @@ class Structure:
         items = self.items(replace(snapshot, submaps=(submap,)))
         self._parts = {}
         return items
-
-    def _grew(self, submap: Submap) -> bool:
-        known = self._parts.get(submap.id)
-        # The arrays of a submap that stays are not looked at: they may be compressed.
-        if known is not None and known.submap.observed_space is submap.observed_space:
-            return False
-        return len(submap.observed_space.structure) > _GROWTH * (0 if known is None else known.count)
 
     def items(self, snapshot: MapSnapshot) -> list[LogItem]:
         """Return the structure voxels of all submaps."""
@@ -84,15 +84,9 @@ class _Part:
 def _part_of(submap: Submap) -> _Part:
     space = submap.observed_space
     centers = centers_of_keys(space.structure, space.voxel_m)
-    floor_m = space.floor_z_m if space.floor_z_m is not None else float(centers[:, 2].min(initial=0.0))
+    # Without a floor in view, all is walls.
+    floor_m = space.floor_z_m if space.floor_z_m is not None else float(centers[:, 2].min(initial=0.0)) - 0.2
     is_floor = np.abs(centers[:, 2] - floor_m) <= _FLOOR_BAND_M
-    world_floor_m = float(apply(submap.world_from_submap, np.array([[0.0, 0.0, floor_m]]))[0, 2])
-    surface = wall_surface(submap, world_floor_m, None, _MAX_FACES)
-    walls = rr.Mesh3D(
-        vertex_positions=surface.vertices,
-        triangle_indices=surface.faces,
-        vertex_normals=surface.normals,
-        albedo_factor=WALLS_COLOR,
-        face_rendering=rr.components.MeshFaceRendering.Front,
-    )
+    surface = wall_surface(submap, floor_m + float(submap.world_from_submap[2, 3]), None, _MAX_FACES)
+    walls = mesh_of_surface(surface, albedo_factor=WALLS_COLOR, face_rendering=rr.components.MeshFaceRendering.Front)
     return _Part(submap, apply(submap.world_from_submap, centers[is_floor]), walls, len(centers))
