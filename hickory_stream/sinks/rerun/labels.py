@@ -93,10 +93,8 @@ def label_threads(tops: NDArray[np.float64], texts: Sequence[str], eye: Eye) -> 
     if len(tops) == 0:
         return np.empty((0, 3, 3))
     seen = eye.project(tops)
-    # How far up one metre leads in the view, there.
-    per_m = np.maximum(seen[:, 1] - eye.project(tops + np.array([0.0, 0.0, 0.01]))[:, 1], 1e-6) / 0.01
     below = _GAP + rises(seen, np.array([label_size(text) for text in texts]))
-    up = np.stack([np.zeros(len(tops)), below, below + _HEIGHT], axis=1) / per_m[:, None]
+    up = eye.heights_m(tops, np.stack([np.zeros(len(tops)), below, below + _HEIGHT], axis=1))
     return np.asarray(tops[:, None] + up[..., None] * np.array([0.0, 0.0, 1.0]))
 
 
