@@ -31,9 +31,9 @@ LAYERS = (
     ("hickory_stream.journal",),
     ("hickory_stream.map_folder",),
     ("hickory_stream.engine",),
-    ("hickory_stream.sinks", "players", "hickory_stream.inspection"),
+    ("players", "hickory_stream.inspection"),
     ("hickory_stream.pictures",),
-    ("hickory_stream.evaluation",),
+    ("hickory_stream.sinks", "hickory_stream.evaluation"),
     ("hickory_stream.worlds", "hickory_stream.fleet", "hickory_stream.query", "hickory_stream.changes"),
     ("hickory_stream.batch",),
     (

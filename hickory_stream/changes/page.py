@@ -37,9 +37,17 @@ class Footprint:
 
 
 def plan_svg(
-    footprints: Sequence[Footprint], moves: Sequence[tuple[TrackedObject, TrackedObject, str]], caption: str
+    footprints: Sequence[Footprint],
+    moves: Sequence[tuple[TrackedObject, TrackedObject, str]],
+    meanings: Mapping[str, str],
+    caption: str,
 ) -> str:
-    """Return the plan from above, "" without an object; lines join the centres of `moves`, `caption` is the caption."""
+    """Return the plan from above and its legend, "" without an object; lines join the centres of `moves`.
+
+    `meanings` are colours and what they stand for; those on the plan are in the legend, before `caption`.
+    """
+    from hickory_stream.pictures.labels import flat_labels
+
     if not footprints:
         return ""
     corners = np.concatenate([one.item.box.corners_world()[:, :2] for one in footprints])
@@ -49,22 +57,39 @@ def plan_svg(
     def at(point: NDArray[np.float64]) -> tuple[float, float]:
         return float((point[0] - low[0]) * scale), float((high[1] - point[1]) * scale)
 
-    drawn = []
-    for one in footprints:
+    height = float(high[1] - low[1]) * scale
+    drawn, outlines = [], {}
+    for i, one in enumerate(footprints):
         box, color = one.item.box, one.color
         outline = box.center[:2] + (box.half_extents_m[:2] * _SIGNS) @ box.world_from_box[:2, :2].T
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(at, outline))
+        outlines[i] = [np.array([at(corner) for corner in outline])]
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in outlines[i][0])
         dash = ' stroke-dasharray="5 4"' if one.is_dashed else ""
         drawn.append(f'<polygon points="{points}" fill="{color}" fill-opacity=".25" stroke="{color}"{dash}/>')
-        x, y = at(box.center)
-        drawn.append(f'<text x="{x:.1f}" y="{y:.1f}" font-size="13" fill="{color}">{one.item.id}</text>')
     for a, b, color in moves:
         (x0, y0), (x1, y1) = at(a.box.center), at(b.box.center)
         drawn.append(
             f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" stroke-width="2"/>'
         )
-    height = float(high[1] - low[1]) * scale
-    return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{caption}</p>'
+    texts = {i: str(one.item.id) for i, one in enumerate(footprints)}
+    for label in flat_labels(outlines, (_WIDTH_PX, round(height)), texts):
+        x0, y0, x1, y1 = label.box_px
+        color = footprints[label.object_id].color
+        near = f'x2="{(x0 + x1) / 2}" y2="{(y0 + y1) / 2}"'
+        drawn.append(f'<line x1="{label.place_px[0]}" y1="{label.place_px[1]}" {near} stroke="{color}"/>')
+        drawn.append(f'<rect x="{x0}" y="{y0}" width="{x1 - x0}" height="{y1 - y0}" rx="2" fill="{color}" {_DARKER}/>')
+        middle = f'x="{(x0 + x1) / 2}" y="{y1 - 5}" text-anchor="middle" font-size="12" fill="#fff"'
+        drawn.append(f"<text {middle}>{label.text}</text>")
+    drawn.append(f'<path d="M12 {height - 18:.0f}v6h{scale:.1f}v-6" fill="none" stroke="#667"/>')
+    drawn.append(f'<text x="{18 + scale:.1f}" y="{height - 10:.0f}" font-size="12" fill="#667">1 m</text>')
+    on_plan = {one.color for one in footprints}
+    legend = "".join(
+        f'<span><i style="background:{color}"></i> {html.escape(text)}</span>'
+        for color, text in meanings.items()
+        if color in on_plan
+    )
+    drawing = f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(drawn)}</svg>'
+    return f'{drawing}<p class="legend soft">{legend}<span>{html.escape(caption)}</span></p>'
 
 
 COLORS = {
@@ -77,12 +102,16 @@ COLORS = {
     Verdict.NOT_SEEN_BEFORE: "#c98a1b",
 }
 _PICTURE_PX = 150
+# White text is to be read on each of the colours.
+_DARKER = 'style="filter:brightness(.72)"'
 STYLE = """
 svg { background: var(--card); border: 1px solid var(--line); width: 100%; height: auto; }
 .card { display: flex; gap: .9rem; background: var(--card); border: 1px solid var(--line); padding: .6rem;
   margin: .5rem 0; }
 .card img { width: 120px; height: 120px; object-fit: contain; background: var(--back); }
 .bar { display: flex; height: 9px; width: 260px; margin-top: .4rem; } .bar i { display: block; height: 9px; }
+.legend { display: flex; gap: .2rem 1.4rem; flex-wrap: wrap; }
+.legend i { display: inline-block; width: .8rem; height: .8rem; }
 .tag { color: #fff; padding: 0 .45rem; border-radius: 3px; }
 """
 
@@ -153,4 +182,5 @@ def _plan(found: MapChanges, a: Mapping[int, TrackedObject], b: Mapping[int, Tra
             footprints.append(Footprint(item=other, color=color, is_dashed=True))
         if change.verdict is Verdict.MOVED and one is not None and other is not None:
             moves.append((one, other, color))
-    return plan_svg(footprints, moves, "solid: the first map; dashed: the second")
+    meanings = {color: " or ".join(v for v in Verdict if COLORS[v] == color) for color in COLORS.values()}
+    return plan_svg(footprints, moves, meanings, "solid: the first map; dashed: the second; a line: the way moved")

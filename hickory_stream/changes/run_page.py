@@ -99,7 +99,9 @@ def _plan(a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject], listed
             footprints.append(Footprint(item=is_now, color=color, is_dashed=True))
         if was is not None and is_now is not None and one.kind == "moved":
             moves.append((was, is_now, color))
-    return plan_svg(footprints, moves, "solid: at the first moment; dashed: at the second; grey: nothing is said of it")
+    meanings = {still: "neither gone, new nor moved", **{COLORS[verdict]: kind for kind, verdict in _SAID.items()}}
+    caption = "solid: at the first moment; dashed: at the second; a line: the way moved"
+    return plan_svg(footprints, moves, meanings, caption)
 
 
 def _both(one: Change, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> list[TrackedObject]:

@@ -19,6 +19,7 @@ from hickory_stream.evaluation.truth import Truth, moved_truth
 from hickory_stream.evaluation.why import NoWhy, ReasonCount, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
 from hickory_stream.map_folder.views import read_crop
+from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, with_tint
 from hickory_stream.pictures.object_thumbnail import CloseUp, close_up_of, draw
 from hickory_stream.pictures.raycast import Surface
 from hickory_stream.pictures.render_parts import superquadric_surfaces
@@ -44,6 +45,7 @@ p.why { margin: .4rem 0 0; max-width: 125ch; }
 .reasons td.n, .reasons td:nth-child(3) { white-space: nowrap; } .reasons td:nth-child(3) { min-width: 11.5rem; }
 .reasons td.n { min-width: 3.5rem; }
 td.bar { min-width: 5rem; } td.bar i { display: block; height: .6rem; border-radius: 3px; background: var(--bad); }
+.key { display: inline-block; width: .8rem; height: .8rem; }
 td { padding: .12rem 1.2rem .12rem 0; }
 section { background: var(--card); border: 1px solid var(--line); border-radius: 8px; padding: .8rem 1rem;
   margin: .7rem 0; }
@@ -85,6 +87,7 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
         "<p class=soft>What figures and reasons mean: <code>hickory-stream evaluate --explain</code>; one object "
         "keyframe by keyframe: <code>hickory-stream explain MAP --truth DIR --object ID</code></p>"
         f"<div class=top><table>{table}</table>{_reasons(why)}</div>"
+        f"<p class=soft><i class=key style='background:rgb{GENERATED}'></i> {GENERATED_TEXT}</p>"
         f"<h2>True objects, worst first</h2>{''.join(cards)}"
     )
     if false:
@@ -191,7 +194,8 @@ def _azimuth(tracked: TrackedObject | None, true: Mesh | None) -> float:
 
 
 def _surface(mesh: Mesh) -> Surface:
-    return Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=0)
+    colors = with_tint(mesh.colors, mesh.is_seen)
+    return Surface(vertices=mesh.vertices, faces=mesh.faces, colors=colors, owner=0)
 
 
 def _figure(caption: str, rgb: NDArray[np.uint8]) -> str:

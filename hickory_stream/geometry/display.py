@@ -30,9 +30,9 @@ def shaded(color: tuple[int, int, int], factor: float) -> tuple[int, int, int]:
 
 
 def readable_on_dark(color: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return a colour mixed with white until text in it can be read on a dark ground (Rec. 601 luma of 150)."""
+    """Return a colour mixed with white until text in it can be read on a dark ground (Rec. 601 luma of 185)."""
     luma = 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2]
-    share = max(0.0, (150.0 - luma) / (255.0 - luma)) if luma < 255.0 else 0.0
+    share = max(0.0, (185.0 - luma) / (255.0 - luma)) if luma < 255.0 else 0.0
     r, g, b = (round(c + share * (255 - c)) for c in color)
     return r, g, b
 

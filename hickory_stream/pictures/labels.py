@@ -5,8 +5,9 @@ A label lies on the visible part of its object. If that is too small, it stands 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +21,20 @@ _DISTANCES_PX = (22, 30, 40, 52, 66, 82, 100, 120, 145, 175, 210, 250)
 _ANGLES_RAD = np.deg2rad([90, 60, 120, 30, 150, 0, 180, -30, -150, -60, -120, -90])
 # Cost of covering other objects: a label entirely over other objects costs as much as this many pixels of distance.
 _COVERING_PX = 60.0
+_STEP_PX = 3
+_NONE: Mapping[int, Any] = {}
 # Labels together cover at most this share of the visible objects; so many objects have one in any case.
 _MOST_COVERED, _ALWAYS = 0.5, 30
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Label:
-    """A label: its rectangle `box_px` (x0, y0, x1, y1), end exclusive, and its anchor (x, y) on the object."""
+    """A label: its rectangle `box_px` (x0, y0, x1, y1), end exclusive, its anchor (x, y) on the object, its text."""
 
     object_id: int
     box_px: tuple[int, int, int, int]
     place_px: tuple[int, int]
+    text: str = ""
 
     @property
     def is_beside(self) -> bool:
@@ -52,44 +56,71 @@ def most_visible(ids: Sequence[int], owners: NDArray[np.int32], step_px: int) ->
 
 
 def place_labels(
-    ids: Sequence[int], owners: NDArray[np.int32], step_px: int, hidden_px: NDArray[np.float64]
+    ids: Sequence[int],
+    owners: NDArray[np.int32],
+    step_px: int,
+    hidden_px: NDArray[np.float64],
+    texts: Mapping[int, str] = _NONE,
 ) -> list[Label]:
     """Return a label for each of N ids, in their order; no two overlap if there is room.
 
     `owners` (h, w) is the id of the object visible in each square of `step_px` pixels, -1 for none; `hidden_px` (N, 2)
-    are the anchors of objects that are not visible.
+    are the anchors of objects that are not visible. A text is the id, if `texts` has no other.
     """
-    spots = {
-        object_id: _spot(owners == object_id, step_px, _text_size(str(object_id)), hidden)
-        for object_id, hidden in zip(ids, hidden_px, strict=True)
-    }
+    texts = {i: texts.get(i, str(i)) for i in ids}
+    sizes = {i: _text_size(text) for i, text in texts.items()}
+    spots = {i: _spot(owners == i, step_px, sizes[i], hidden) for i, hidden in zip(ids, hidden_px, strict=True)}
     limits = (owners.shape[1] * step_px, owners.shape[0] * step_px)
     placed: dict[int, Label] = {}
     # Labels that fit on their objects are placed first, then the others from the bottom of the picture up.
-    ordered = sorted(ids, key=lambda i: (spots[i][1] < _text_size(str(i))[0] / 2, -spots[i][0][1], i))
+    ordered = sorted(ids, key=lambda i: (spots[i][1] < sizes[i][0] / 2, -spots[i][0][1], i))
     for object_id in ordered:
-        place, depth_px = spots[object_id]
         others = [spots[i][0] for i in ids if i != object_id]
-        placed[object_id] = _placed(object_id, place, depth_px, list(placed.values()), others, owners, step_px, limits)
+        placed[object_id] = _placed(
+            object_id, texts[object_id], *spots[object_id], list(placed.values()), others, owners, step_px, limits
+        )
     return [placed[object_id] for object_id in ids]
 
 
-def draw_labels(image: NDArray[np.uint8], labels: Sequence[Label]) -> None:
-    """Draw the labels on patches of their objects' colours, with leader lines."""
+def flat_labels(
+    outlines: Mapping[int, Sequence[NDArray[Any]]], size: tuple[int, int], texts: Mapping[int, str] = _NONE
+) -> list[Label]:
+    """Return labels of objects in a plan of `size` (W, H) pixels, from the (N, 2) outlines of their parts.
+
+    Objects with a smaller extent lie above larger ones; of a crowd the most visible objects have labels.
+    """
     import cv2
 
+    owners = np.full((size[1] // _STEP_PX, size[0] // _STEP_PX), -1, dtype=np.int32)
+    ends = {i: np.concatenate(parts) for i, parts in outlines.items()}
+    for i in sorted(outlines, key=lambda i: (-float(np.ptp(ends[i], axis=0).prod()), i)):
+        for part in outlines[i]:
+            cv2.fillPoly(owners, [np.round(part / _STEP_PX).astype(np.int32)], i)
+    chosen = set(most_visible(list(outlines), owners, _STEP_PX))
+    ids = [i for i in outlines if i in chosen]
+    middles = np.array([ends[i].mean(axis=0) for i in ids]).reshape(-1, 2)
+    return place_labels(ids, owners, _STEP_PX, middles, texts)
+
+
+def draw_labels(
+    image: NDArray[np.uint8], labels: Sequence[Label], colors: Mapping[int, tuple[int, int, int]] = _NONE
+) -> None:
+    """Draw the labels on patches of `colors`, if that has none of their ids' colours, with leader lines."""
+    import cv2
+
+    dark = {i: _dark(colors.get(i, color_of_id(i))) for i in (label.object_id for label in labels)}
     for label in (label for label in labels if label.is_beside):
         x0, y0, x1, y1 = label.box_px
         x, y = label.place_px
         near = (int(np.clip(x, x0, x1 - 1)), int(np.clip(y, y0, y1 - 1)))
-        for color, thickness in (((255, 255, 255), 3), (_dark(label.object_id), 1)):
+        for color, thickness in (((255, 255, 255), 3), (dark[label.object_id], 1)):
             cv2.line(image, near, (x, y), color, thickness, cv2.LINE_AA)
             cv2.circle(image, (x, y), 1 + thickness // 2, color, cv2.FILLED, cv2.LINE_AA)
     for label in labels:
         x0, y0, x1, y1 = label.box_px
-        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), _dark(label.object_id), cv2.FILLED)
+        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), dark[label.object_id], cv2.FILLED)
         place = (x0 + _PADDING_PX, y1 - 1 - _PADDING_PX)
-        text = str(label.object_id)
+        text = label.text or str(label.object_id)
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, _SIZE, (255, 255, 255), _THICKNESS, cv2.LINE_AA)
 
 
@@ -112,6 +143,7 @@ def _spot(
 
 def _placed(
     object_id: int,
+    text: str,
     place: tuple[int, int],
     depth_px: float,
     labels: list[Label],
@@ -120,7 +152,7 @@ def _placed(
     step_px: int,
     limits: tuple[int, int],
 ) -> Label:
-    width, height = _text_size(str(object_id))
+    width, height = _text_size(text)
     offsets = [(0.0, 0.0)] if depth_px >= 0.5 * max(width, height) else []
     offsets += [(d * np.cos(angle), -d * np.sin(angle)) for d in _DISTANCES_PX for angle in _ANGLES_RAD]
     best, least = None, np.inf
@@ -138,7 +170,7 @@ def _placed(
         if cost < least:
             best, least = box, cost
     assert best is not None
-    return Label(object_id=object_id, box_px=best, place_px=place)
+    return Label(object_id=object_id, box_px=best, place_px=place, text=text)
 
 
 def _text_size(text: str) -> tuple[int, int]:
@@ -148,8 +180,8 @@ def _text_size(text: str) -> tuple[int, int]:
     return width + 2 * _PADDING_PX, height + 2 * _PADDING_PX
 
 
-def _dark(object_id: int) -> tuple[int, int, int]:
-    r, g, b = (int(0.55 * c) for c in color_of_id(object_id))
+def _dark(color: tuple[int, int, int]) -> tuple[int, int, int]:
+    r, g, b = (int(0.55 * c) for c in color)
     return r, g, b
 
 

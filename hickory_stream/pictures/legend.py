@@ -41,18 +41,18 @@ def with_tinted_image(textured: TexturedMesh) -> NDArray[np.uint8]:
 def legend_of(
     entries: Sequence[tuple[str, Color]], width: int, *, ink: Color = (50, 54, 62), ground: Color = (255, 255, 255)
 ) -> NDArray[np.uint8]:
-    """Return a picture (H, W, 3) of swatches with texts, in as many rows as a width of `width` pixels needs."""
+    """Return a picture (H, W, 3) of swatches with texts, in as many rows of `width` pixels as they need."""
     import cv2
 
-    x, y, right, places = _GAP_PX, 0, 0, []
+    x, y, places = _GAP_PX, 0, []
     for text, _ in entries:
         (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _SIZE, 1)
-        end = x + _SWATCH_PX + 6 + length + _GAP_PX
-        if end > width and x > _GAP_PX:
-            x, y, end = _GAP_PX, y + _ROW_PX, end - x + _GAP_PX
+        step = _SWATCH_PX + 6 + length + _GAP_PX
+        if x + step > width and x > _GAP_PX:
+            x, y = _GAP_PX, y + _ROW_PX
         places.append((x, y))
-        x, right = end, max(right, end)
-    image = np.full((y + _ROW_PX, min(right, width), 3), ground, dtype=np.uint8)
+        x += step
+    image = np.full((y + _ROW_PX, width, 3), ground, dtype=np.uint8)
     for (text, color), (x, y) in zip(entries, places, strict=True):
         low = y + (_ROW_PX + _SWATCH_PX) // 2
         cv2.rectangle(image, (x, low - _SWATCH_PX), (x + _SWATCH_PX, low), color, cv2.FILLED)
@@ -65,5 +65,5 @@ def legend_of(
 def draw_legend(image: NDArray[np.uint8], entries: Sequence[tuple[str, Color]]) -> None:
     """Draw a legend over the lower right corner of a view."""
     legend = legend_of(entries, image.shape[1])
-    corner = image[-len(legend) :, -legend.shape[1] :]
-    corner[:] = legend[: len(corner)]
+    end = int(np.flatnonzero((legend != 255).any(axis=(0, 2)))[-1]) + _GAP_PX
+    image[-len(legend) :, -end:] = legend[:, :end]

@@ -18,11 +18,12 @@ from hickory_stream.pictures.labels import (
     most_visible,
     place_labels,
 )
+from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, draw_legend
 from hickory_stream.pictures.rasterize import Dots, first_hits
 from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
-from hickory_stream.pictures.render_view import Floor, Model, draw_view
-from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.pictures.render_view import Floor, Model, draw_view, floor_around
+from hickory_stream.pictures.viewpoint import Viewpoint, corners_of, from_above, from_corner
 from hickory_stream.storeys import floors_of
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 _TITLE_PX = 44
 _ELEVATION_RAD = np.deg2rad(38.0)
-_CELL_M = 0.05
 _LABEL_STEP_PX = 3
 
 
@@ -87,6 +87,8 @@ def render_map(
         if len(storeys) > 1:
             draw_caption(above.of(below), f"floor at {storey.floor_m:.2f} m: {len(storey.objects)} objects")
     draw_title(image[:_TITLE_PX], _title(saved, storeys, layers))
+    if 2 in layers:
+        draw_legend(image, [(GENERATED_TEXT, GENERATED)])
     return image
 
 
@@ -125,32 +127,15 @@ def _surfaces(
 
 
 def _corners(objects: list[TrackedObject]) -> NDArray[np.float64]:
-    """Return the corners of all boxes, or those of a cube of 2 m if there is no object."""
-    if not objects:
-        return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
-    return np.concatenate([tracked.box.corners_world() for tracked in objects])
+    return corners_of([tracked.box for tracked in objects])
 
 
 def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | None) -> Floor:
-    import cv2
-
     corners = _corners(objects)
     heights = [floor_m] if floor_m is not None else floors_of(saved.snapshot)
     z_m = next(iter(heights), float(corners[:, 2].min()))
     seen = [floor_cells(submap, z_m) for submap in saved.snapshot.submaps]
-    places = np.concatenate([np.empty((0, 2)), *seen])
-    margin_m = 0.5
-    around = np.concatenate([corners[:, :2], places])
-    origin = around.min(axis=0) - margin_m
-    columns, rows = np.ceil((around.max(axis=0) + margin_m - origin) / _CELL_M).astype(int)
-    weights = np.zeros((rows, columns), dtype=np.float32)
-    if len(places):
-        x, y = ((places - origin) / _CELL_M).astype(int).T
-        weights[y, x] = 1.0
-        weights = cv2.morphologyEx(weights, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
-    else:
-        weights[6:-6, 6:-6] = 1.0
-    return Floor(z_m=z_m, origin_m=origin, cell_m=_CELL_M, weights=cv2.GaussianBlur(weights, (0, 0), 1.2))
+    return floor_around(corners, z_m, np.concatenate([np.empty((0, 2)), *seen]))
 
 
 def _best_azimuth(dots: list[Dots], corners: NDArray[np.float64], place: Place) -> float:

@@ -1,6 +1,7 @@
 """A picture of two aligned maps: overlaid from above, and one lifted above the other.
 
-Map a is blue, map b orange; objects without a partner are pale. Without an alignment the maps stand side by side.
+Map a is blue, map b orange; objects without a partner are pale. Both ids of a pair have the colour of its
+line; from above, only that of map a is shown. Without an alignment the maps stand side by side.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
 from hickory_stream.geometry.superquadric_surface import display_mesh
-from hickory_stream.pictures.labels import draw_scale, draw_title
+from hickory_stream.pictures.labels import draw_labels, draw_scale, draw_title, flat_labels
+from hickory_stream.pictures.legend import draw_legend
 from hickory_stream.pictures.raycast import Surface
-from hickory_stream.pictures.render_view import Floor, Model, draw_view
-from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.pictures.render_view import Model, draw_view, floor_around
+from hickory_stream.pictures.viewpoint import Viewpoint, corners_of, from_above, from_corner
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
@@ -49,6 +52,7 @@ def render_alignment(
     else:
         _draw_apart(image[_TITLE_PX:], width // 2, map_a, map_b)
     draw_title(image[:_TITLE_PX], _title(map_a, map_b, answer))
+    draw_legend(image, alignment_meanings(is_aligned=isinstance(answer, Alignment)))
     return image
 
 
@@ -57,7 +61,7 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
     in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
     bounds_a, bounds_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
     both = np.concatenate([bounds_a, bounds_b])
-    floor = _floor(both)
+    floor = floor_around(both, float(both[:, 2].min()))
     # Overlaid: map b is translucent.
     over = Model(
         solid=_surfaces(map_a, np.eye(4), in_a, BLUE),
@@ -67,8 +71,11 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
         floor=floor,
     )
     above = from_above(both, left - 2, height, _MARGIN_PX)
-    image[:, : left - 2] = draw_view(over, above)
-    draw_scale(image[:, : left - 2], above.focal_px)
+    partner = {pair.id_b: pair.id_a for pair in answer.pairs}
+    joined = draw_view(over, above)
+    _draw_ids(joined, above, [("a", map_a, np.eye(4)), ("b", map_b, answer.a_from_b)], partner, is_once=True)
+    draw_scale(joined, above.focal_px)
+    image[:, : left - 2] = joined
     # Lifted: high enough to show both floors, with a line from each object to its partner.
     lift_m = 0.5 * float(np.ptp(both[:, :2], axis=0).max()) + float(np.ptp(both[:, 2]))
     lifted = from_rotation_translation(np.eye(3), np.array([0.0, 0.0, lift_m])) @ answer.a_from_b
@@ -83,6 +90,7 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
     corner = from_corner(scene, np.deg2rad(-60.0), np.deg2rad(24.0), width - left, height, _MARGIN_PX)
     panel = draw_view(apart, corner)
     _draw_lines(panel, corner, map_a, map_b, answer, lifted)
+    _draw_ids(panel, corner, [("a", map_a, np.eye(4)), ("b", map_b, lifted)], partner)
     image[:, left:] = panel
 
 
@@ -110,6 +118,31 @@ def _draw_lines(
     cv2.addWeighted(lines, 0.8, panel, 0.2, 0.0, dst=panel)
 
 
+def _draw_ids(
+    image: NDArray[np.uint8],
+    viewpoint: Viewpoint,
+    shown: Sequence[tuple[str, ObjectMap, NDArray[np.float64]]],
+    partner: Mapping[int, int],
+    *,
+    is_once: bool = False,
+) -> None:
+    """Label the objects of maps, each by its letter and its place; `is_once` leaves out those of b with a partner."""
+    import cv2
+
+    outlines: dict[int, list[NDArray[np.float32]]] = {}
+    texts, colors = {}, {}
+    for letter, objects, frame_from_map in shown:
+        for object_id, box in zip(objects.ids.tolist(), objects.boxes, strict=True):
+            if is_once and letter == "b" and object_id in partner:
+                continue
+            label = len(outlines)
+            corners = viewpoint.project(apply(frame_from_map, box.corners_world()))
+            outlines[label] = [cv2.convexHull(corners.astype(np.float32))[:, 0]]
+            texts[label] = f"{letter}{object_id}"
+            colors[label] = color_of_id(partner.get(object_id, object_id) if letter == "b" else object_id)
+    draw_labels(image, flat_labels(outlines, (image.shape[1], image.shape[0]), texts), colors)
+
+
 def _draw_apart(image: NDArray[np.uint8], middle: int, map_a: ObjectMap, map_b: ObjectMap) -> None:
     height, width = image.shape[:2]
     for objects, color, x0, x1 in ((map_a, BLUE, 0, middle - 1), (map_b, ORANGE, middle + 1, width)):
@@ -120,10 +153,11 @@ def _draw_apart(image: NDArray[np.uint8], middle: int, map_a: ObjectMap, map_b: 
             translucent=[],
             points=[],
             submaps=objects.submaps,
-            floor=_floor(corners),
+            floor=floor_around(corners, float(corners[:, 2].min())),
         )
         above = from_above(corners, x1 - x0, height, _MARGIN_PX)
         panel = draw_view(model, above)
+        _draw_ids(panel, above, [("a" if objects is map_a else "b", objects, np.eye(4))], {})
         draw_scale(panel, above.focal_px)
         image[:, x0:x1] = panel
 
@@ -132,10 +166,9 @@ def _surfaces(
     objects: ObjectMap, frame_from_map: NDArray[np.float64], matched: AbstractSet[int], color: tuple[int, int, int]
 ) -> list[Surface]:
     """Return layer 3 of every object, or its box if it has none."""
-    pale = tuple(round(c + (225 - c) * _PALE) for c in color)
     surfaces = []
     for object_id, shape, box in zip(objects.ids, objects.shapes, objects.boxes, strict=True):
-        own = color if int(object_id) in matched else pale
+        own = color if int(object_id) in matched else pale(color)
         if shape is None:
             parts: list[tuple[NDArray[Any], NDArray[Any]]] = [(apply(frame_from_map, box.corners_world()), _BOX_FACES)]
         else:
@@ -147,23 +180,22 @@ def _surfaces(
     return surfaces
 
 
+def alignment_meanings(*, is_aligned: bool) -> list[tuple[str, tuple[int, int, int]]]:
+    """Return the texts and colours of a legend."""
+    entries = [("map a", BLUE), ("map b", ORANGE)]
+    alone = [("of a without a partner", pale(BLUE)), ("of b without a partner", pale(ORANGE))]
+    return entries + alone if is_aligned else entries
+
+
+def pale(color: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Return the colour of an object without a partner."""
+    r, g, b = (round(c + (225 - c) * _PALE) for c in color)
+    return r, g, b
+
+
 def _corners(objects: ObjectMap, frame_from_map: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners of all boxes, or those of a cube of 2 m if there is no object."""
-    if not len(objects):
-        return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
-    return np.asarray(apply(frame_from_map, np.concatenate([box.corners_world() for box in objects.boxes])))
-
-
-def _floor(corners: NDArray[np.float64]) -> Floor:
-    import cv2
-
-    cell_m, margin_m = 0.05, 0.5
-    origin = corners[:, :2].min(axis=0) - margin_m
-    columns, rows = np.ceil((corners[:, :2].max(axis=0) + margin_m - origin) / cell_m).astype(int)
-    weights = np.zeros((rows, columns), dtype=np.float32)
-    weights[6:-6, 6:-6] = 1.0
-    weights = cv2.GaussianBlur(weights, (0, 0), 2.0)
-    return Floor(z_m=float(corners[:, 2].min()), origin_m=origin, cell_m=cell_m, weights=weights)
+    corners = corners_of(objects.boxes)
+    return np.asarray(apply(frame_from_map, corners)) if len(objects) else corners
 
 
 def _title(map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> str:

@@ -12,12 +12,14 @@ from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.free_space import FreeSpace, layer_four_of, obstacles_of
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.search import NoPath, Path
-from hickory_stream.pictures.labels import draw_scale, draw_title
+from hickory_stream.pictures.labels import draw_labels, draw_scale, draw_title, flat_labels
+from hickory_stream.pictures.legend import legend_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.navigation.robot import Posture
+    from hickory_stream.pictures.labels import Label
     from hickory_stream.records import MapSnapshot
 
 _TITLE_PX, _MARGIN_PX, _LONG_SIDE_PX = 44, 30, 1000
@@ -37,15 +39,29 @@ def render_plan(
     """Return an (H, W, 3) uint8 picture of a plan, or of the scene without one; pale blue: lowered postures only."""
     canvas = _Canvas.of(space)
     _draw_walls(canvas, space)
-    _draw_objects(canvas, snapshot)
+    labels = _draw_objects(canvas, snapshot)
     if isinstance(answer, Path):
         _draw_path(canvas, space, answer)
+    draw_labels(canvas.image, labels)
     for name, place, color in (("start", start, _START), ("goal", goal, _GOAL)):
         _draw_end(canvas, name, place, color)
     picture = canvas.framed()
     draw_scale(picture[_TITLE_PX:], canvas.pixels_per_m)
     draw_title(picture[:_TITLE_PX], _title(space, answer))
-    return picture
+    legend = legend_of(_meanings(space, answer), picture.shape[1])
+    return np.concatenate([picture, legend, picture[-_MARGIN_PX // 3 :, :1].repeat(picture.shape[1], axis=1)])
+
+
+def _meanings(space: FreeSpace, answer: Path | NoPath) -> list[tuple[str, tuple[int, int, int]]]:
+    postures = [posture.name for posture in space.robot.postures]
+    entries = [(f"free for {space.robot.name}", _FREE)]
+    entries += [(f"free if {' or '.join(postures[1:])}", _LOW)] if len(postures) > 1 else []
+    entries += [("too near to an object or wall", _OCCUPIED), ("not observed", _UNKNOWN), ("wall", _WALL)]
+    if isinstance(answer, Path):
+        used = {int(posture) > 0 for posture in answer.postures}
+        entries += [("path, with the body along it", _PATH)] if False in used else []
+        entries += [("path in a lowered posture", _DUCKED)] if True in used else []
+    return [*entries, ("with numbers: layer 4 of objects", (170, 200, 170))]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -103,23 +119,24 @@ def _draw_walls(canvas: _Canvas, space: FreeSpace) -> None:
         cv2.fillPoly(canvas.image, [canvas.fixed(corners)], _WALL, cv2.LINE_8, shift=4)
 
 
-def _draw_objects(canvas: _Canvas, snapshot: MapSnapshot) -> None:
+def _draw_objects(canvas: _Canvas, snapshot: MapSnapshot) -> list[Label]:
+    """Draw layer 4 of the objects, and return the labels to draw over the path."""
     import cv2
 
     tinted = canvas.image.copy()
-    hulls = []
+    outlines: dict[int, list[NDArray[np.float64]]] = {}
     for tracked in obstacles_of(snapshot):
-        inflated = layer_four_of(tracked)
-        for i in range(len(inflated)):
-            vertices, _ = display_mesh(inflated, i)
-            corners = cv2.convexHull(np.ascontiguousarray(vertices[:, :2]))[:, 0]
-            hulls.append((canvas.fixed(corners), color_of_id(tracked.id)))
-    for corners, color in hulls:
+        parts = [display_mesh(layer_four_of(tracked), i)[0] for i in range(len(layer_four_of(tracked)))]
+        hulls = [cv2.convexHull(np.ascontiguousarray(vertices[:, :2]))[:, 0] for vertices in parts]
+        outlines[tracked.id] = [canvas.pixels(hull) for hull in hulls]
+    fixed = [(np.round(16 * hull).astype(np.int32), color_of_id(i)) for i, hulls in outlines.items() for hull in hulls]
+    for corners, color in fixed:
         cv2.fillPoly(tinted, [corners], color, cv2.LINE_AA, shift=4)
     cv2.addWeighted(tinted, 0.38, canvas.image, 0.62, 0.0, dst=canvas.image)
-    for corners, color in hulls:
+    for corners, color in fixed:
         dark = tuple(round(0.62 * c) for c in color)
         cv2.polylines(canvas.image, [corners], isClosed=True, color=dark, thickness=1, lineType=cv2.LINE_AA, shift=4)
+    return flat_labels({i: hulls for i, hulls in outlines.items() if hulls}, canvas.image.shape[1::-1])
 
 
 def _draw_path(canvas: _Canvas, space: FreeSpace, path: Path) -> None:

@@ -15,6 +15,7 @@ from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells, keys_of_points
+from hickory_stream.pictures.legend import with_tint, with_tinted_image
 from hickory_stream.pictures.rasterize import Dots
 from hickory_stream.pictures.raycast import Surface
 
@@ -63,7 +64,10 @@ def coarse_squares(dots: Dots, viewpoint: Viewpoint) -> Surface:
 
 
 def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Surface:
-    """Return layer 2, with a texture of at most `texture_px` a side unless that is 0; raises `MapFolderError`."""
+    """Return layer 2 with generated surface tinted; raises `MapFolderError`.
+
+    Its texture has at most `texture_px` a side; 0 is colours of vertices.
+    """
     assert tracked.shape is not None
     mesh, uv, image = saved.mesh(tracked.shape), None, None
     if texture_px:
@@ -71,9 +75,10 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
 
         # As it was known earlier, a map may name views that are not kept.
         textured = textured_object(saved.views, tracked, mesh, texture_px, is_past=True)
-        mesh, uv, image = textured.mesh, textured.uv, textured.image
+        mesh, uv, image = textured.mesh, textured.uv, with_tinted_image(textured)
     vertices = apply(tracked.shape.world_from_object, mesh.vertices)
-    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id, uv=uv, image=image)
+    colors = with_tint(mesh.colors, mesh.is_seen)
+    return Surface(vertices=vertices, faces=mesh.faces, colors=colors, owner=tracked.id, uv=uv, image=image)
 
 
 def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
@@ -150,18 +155,25 @@ def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Sur
     return surfaces
 
 
-def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surface:
-    """Return the walls: from above as a floor plan, else their inner faces that face the viewer."""
+def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint | None, most: int | None = None) -> Surface:
+    """Return the walls: from above as a floor plan, else their inner faces that face the viewer, or all (None).
+
+    More than `most` faces are drawn as fewer and larger ones.
+    """
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
     height_m = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)[:, 2] - floor_z_m
     cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
-    if viewpoint.is_orthographic:
+    if viewpoint is not None and viewpoint.is_orthographic:
         return _floor_plan(cells, submap)
-    parts = [_facing(cells, step, submap, viewpoint) for step in _STEPS]
+    parts, side_m = [_facing(cells, step, submap, viewpoint) for step in _STEPS], space.voxel_m
+    while most is not None and sum(len(center) for center, _ in parts) > most:
+        side_m *= 2
+        firsts = [np.unique(keys_of_points(center, side_m), return_index=True)[1] for center, _ in parts]
+        parts = [(center[first], normal) for first, (center, normal) in zip(firsts, parts, strict=True)]
     centers = np.concatenate([center for center, _ in parts])
     normals = np.concatenate([np.broadcast_to(normal, center.shape) for center, normal in parts])
-    return _wall_squares(centers, normals, space.voxel_m)
+    return _wall_squares(centers, normals, side_m)
 
 
 def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
@@ -172,13 +184,13 @@ def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
 
 
 def _facing(
-    cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint
+    cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     space = submap.observed_space
     exposed = _in_a_wall(cells[contains(space.free, keys_of_cells(cells + step))], step)
     normal = submap.world_from_submap[:3, :3] @ step
     centers = apply(submap.world_from_submap, (exposed + 0.5 + 0.5 * step) * space.voxel_m)
-    return centers[viewpoint.towards_eye(centers) @ normal > 0], normal
+    return centers if viewpoint is None else centers[viewpoint.towards_eye(centers) @ normal > 0], normal
 
 
 def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[np.int64]:

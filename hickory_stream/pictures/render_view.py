@@ -23,6 +23,8 @@ from hickory_stream.records import Submap
 _BACKGROUND = np.array([[0.93, 0.94, 0.96], [0.985, 0.985, 0.99]], dtype=np.float32)
 _FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.float32)
 _SHADE_REACH_M = 0.45
+_CELL_M = 0.05
+_NOWHERE = np.empty((0, 2))
 _SHADE_RAYS = 16
 _EDGE_CONTRAST = 0.04
 # Sample positions in a pixel: its middle, and a rotated grid whose four points nearly horizontal or vertical edges pass
@@ -42,6 +44,24 @@ class Floor:
     def __post_init__(self) -> None:
         freeze(self, "origin_m", np.float64, (2,))
         freeze(self, "weights", np.float32, (None, None))
+
+
+def floor_around(corners: NDArray[np.float64], z_m: float, seen: NDArray[np.float64] = _NOWHERE) -> Floor:
+    """Return the floor below (N, 3) corners: where (M, 2) places of it were seen, or all of it without any."""
+    import cv2
+
+    margin_m = 0.5
+    around = np.concatenate([corners[:, :2], seen])
+    origin = around.min(axis=0) - margin_m
+    columns, rows = np.ceil((around.max(axis=0) + margin_m - origin) / _CELL_M).astype(int)
+    weights = np.zeros((rows, columns), dtype=np.float32)
+    if len(seen):
+        x, y = ((seen - origin) / _CELL_M).astype(int).T
+        weights[y, x] = 1.0
+        weights = cv2.morphologyEx(weights, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    else:
+        weights[6:-6, 6:-6] = 1.0
+    return Floor(z_m=z_m, origin_m=origin, cell_m=_CELL_M, weights=cv2.GaussianBlur(weights, (0, 0), 1.2))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from hickory_stream.geometry.display import color_of_id, main_components
+from hickory_stream.pictures.legend import legend_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,8 +61,8 @@ def classes_picture(rgb: NDArray[np.uint8], semantics: SemanticImage) -> NDArray
     picture = _with_instances(rgb, semantics.classes + 1, numbers=False)
     ids, areas = np.unique(semantics.classes[semantics.classes >= 0], return_counts=True)
     most = [int(i) for i in ids[np.argsort(-areas, kind="stable")][:12]]
-    lines = [semantics.labels[i] for i in most]
-    return np.vstack([picture, _legend(lines, picture.shape[1], [color_of_id(i + 1) for i in most])])
+    entries = [(semantics.labels[i], color_of_id(i + 1)) for i in most]
+    return np.vstack([picture, legend_of(entries, picture.shape[1], ink=_LIGHT, ground=_DARK)])
 
 
 def _with_instances(rgb: NDArray[np.uint8], labels: NDArray[np.int32], *, numbers: bool = True) -> NDArray[np.uint8]:
@@ -112,17 +113,12 @@ def _panel(picture: NDArray[np.uint8], caption: str) -> NDArray[np.uint8]:
     return np.vstack([_legend([caption], _PANEL_PX), sized])
 
 
-def _legend(
-    lines: Sequence[str], width: int, colors: Sequence[tuple[int, int, int]] | None = None
-) -> NDArray[np.uint8]:
+def _legend(lines: Sequence[str], width: int) -> NDArray[np.uint8]:
     columns = max(1, width // 420) if len(lines) > 1 else 1
     rows = -(-len(lines) // columns)
     out = np.full((rows * _CAPTION_PX, width, 3), _DARK, dtype=np.uint8)
     for i, line in enumerate(lines):
         column, row = divmod(i, max(rows, 1))
         x, y = column * (width // columns) + 8, row * _CAPTION_PX + 18
-        if colors is not None:
-            cv2.rectangle(out, (x, y - 11), (x + 12, y + 1), colors[i], -1)
-            x += 20
         cv2.putText(out, line[:60], (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _LIGHT, 1, cv2.LINE_AA)
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.display import looking, nearest_eye
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 
 _HALF_FOV_TANGENT = np.tan(np.deg2rad(16.0))
+
+
+def corners_of(boxes: Sequence[OrientedBox]) -> NDArray[np.float64]:
+    """Return the corners (N, 3) of all boxes, or those of a cube of 2 m without any."""
+    if not boxes:
+        return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
+    return np.concatenate([box.corners_world() for box in boxes])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

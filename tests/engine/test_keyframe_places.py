@@ -18,7 +18,7 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.ports import Sink, Source
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.records import Decision, FrameReport, MapSnapshot
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
@@ -32,11 +32,13 @@ class Kept:
 
     def __init__(self) -> None:
         self.poses: dict[int, np.ndarray] = {}
+        self.decisions: list[Decision] = []
         self.folder: MapFolder | None = None
         self._newest: MapSnapshot | None = None
 
     def show(self, report: FrameReport) -> None:
         self.poses.setdefault(report.index, report.world_from_camera)
+        self.decisions += report.decisions
         self._newest = report.snapshot or self._newest
 
     def close(self) -> None:
@@ -138,6 +140,7 @@ def test_the_journal_of_a_corrected_run_gives_the_same_map(drifted):
     again = Kept()
     assert map_digest(replay(run.folder.path, [again])) == run.digest
     assert again.poses.keys() == sink.poses.keys()
+    assert set(again.decisions) >= set(sink.decisions)
     for index, pose in sink.poses.items():
         assert np.allclose(again.poses[index], pose, atol=1e-12)
 

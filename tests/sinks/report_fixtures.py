@@ -9,7 +9,7 @@ from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
+from hickory_stream.geometry.voxels import centers_of_keys, keys_of_cells, keys_of_points
 from hickory_stream.records import (
     Containment,
     Decision,
@@ -144,7 +144,9 @@ class SyntheticRun:
     def _snapshot(self, frame: Frame, is_merged: bool) -> MapSnapshot:
         floor = np.stack(np.meshgrid(np.arange(-2.5, 2.5, 0.05), np.arange(-2.5, 2.5, 0.05)), axis=-1).reshape(-1, 2)
         keys = np.unique(keys_of_points(np.column_stack([floor, np.full(len(floor), 0.01)]), 0.05))
-        space = ObservedSpace(voxel_m=0.05, free=np.zeros(0, np.int64), structure=keys, floor_z_m=0.0)
+        wall = np.array([(50, y, z) for y in range(-20, 20) for z in range(6, 30)])
+        keys, before_it = np.union1d(keys, keys_of_cells(wall)), np.sort(keys_of_cells(wall - (1, 0, 0)))
+        space = ObservedSpace(voxel_m=0.05, free=before_it, structure=keys, floor_z_m=0.0)
         return MapSnapshot(
             revision=frame.index,
             stamp_ns=frame.stamp_ns,

@@ -51,7 +51,7 @@ def planned(tmp_path_factory):
 
 def test_a_plan_opens_in_one_view_that_looks_at_all_of_it(planned):
     view = arrangement_of(planned[0])["Plan"]
-    assert view["ViewContents"]["ViewContents:query"] == ["+ /**"]
+    assert view["ViewContents"]["ViewContents:query"] == ["+ /world/**"]
     assert {"EyeControls3D:position", "EyeControls3D:look_target"} <= view["EyeControls3D"].keys()
 
 
@@ -70,6 +70,8 @@ def test_cells_path_and_surfaces_have_heights_of_their_own(planned):
     assert surfaces
     assert min(heights(surface).min() for surface in surfaces) > cells.max() + 0.005
     assert moving == {"/world/robot", "/world/robot/posture"}
+    assert static["/world/labels/1"]["Points3D:labels"] == ["1"]
+    assert "/legend" in static
 
 
 def test_the_tiles_of_a_plan_cover_the_grid_once(planned):
@@ -110,6 +112,7 @@ def test_an_alignment_shows_the_maps_joined_and_apart(tmp_path, maps):
     views = arrangement_of(tmp_path / "join.rrd")
     assert [view["ViewContents"]["ViewContents:query"] for _, view in sorted(views.items())] == [
         ["+ /world/joined/**"],
+        ["$origin/**"],
         ["+ /world/apart/**"],
     ]
     static, _ = static_of(tmp_path / "join.rrd")
@@ -124,7 +127,7 @@ def test_an_alignment_shows_the_maps_joined_and_apart(tmp_path, maps):
     assert alphas["apart"] == {255}
     assert max(alphas["joined"]) < 200
     labels = [c["Points3D:labels"][0] for name, c in static.items() if name.startswith("/world/apart/labels/")]
-    assert sorted(labels) == sorted(f"{pair.id_a} = {pair.id_b}" for pair in answer.pairs)
+    assert sorted(labels) == sorted(f"a{pair.id_a} = b{pair.id_b}" for pair in answer.pairs)
     # Apart: the lowest of map b is above the highest of map a.
     ends = np.array(static["/world/apart/pairs"]["LineStrips3D:strips"])
     assert (ends[:, 1, 2] > ends[:, 0, 2].max()).all()
@@ -135,7 +138,7 @@ def test_maps_that_are_not_aligned_are_side_by_side(tmp_path, maps):
     answer = align(maps[0], other)
     assert isinstance(answer, NoAlignment)
     write_alignment(tmp_path / "none.rrd", maps[0], other, answer)
-    assert len(arrangement_of(tmp_path / "none.rrd")) == 1
+    assert arrangement_of(tmp_path / "none.rrd").keys() == {"Not aligned", "Legend"}
     static, _ = static_of(tmp_path / "none.rrd")
     right_of_a = max(reach_x(c).max() for name, c in static.items() if name.startswith("/world/a/"))
     assert right_of_a < max(reach_x(c).max() for name, c in static.items() if name.startswith("/world/b/"))

@@ -1,6 +1,7 @@
 """The arrangement that a recording carries: where the eyes stand, what each view shows, how the labels lie."""
 
 from pathlib import Path
+import cv2
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -10,7 +11,7 @@ from rerun.chunk import RrdReader
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
-from hickory_stream.sinks.rerun.labels import label_size, label_threads
+from hickory_stream.sinks.rerun.labels import MEANINGS, label_size, label_threads
 from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
 from tests.sinks.report_fixtures import reports
 
@@ -88,8 +89,18 @@ def test_filled_boxes_are_hidden_until_they_are_switched_on(views):
     )
 
 
-def test_decisions_are_listed_as_they_came_and_by_object(views):
-    assert {"Decisions", "Decisions by object"} <= views.keys()
+def test_decisions_on_objects_come_first_and_scores_on_demand(views):
+    names = ["Merges, drops, splits, confirmations", "All decisions, with scores of views", "Decisions by object"]
+    levels = [views[name].get("TextLogRows", {}).get("TextLogRows:filter_by_log_level") for name in names]
+    assert levels == [["WARN", "INFO"], None, None]
+
+
+def test_a_legend_of_colours_is_beside_them(played, views):
+    assert views["Legend"]["ViewContents"]["ViewContents:query"] == ["$origin/**"]
+    (blob,) = [c.to_record_batch() for c in RrdReader(played[0]).stream() if c.entity_path == "/legend"]
+    image = cv2.imdecode(np.array(blob.column("EncodedImage:blob").to_pylist()[0][0], np.uint8), cv2.IMREAD_COLOR)
+    pixels = set(map(tuple, image[..., ::-1].reshape(-1, 3).tolist()))
+    assert {color for _, color in MEANINGS} <= pixels
 
 
 def test_all_best_views_lie_within_the_sheet_that_is_shown(views):

@@ -11,12 +11,15 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 from hickory_stream.errors import ConfigError, ViewerError
+from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-from hickory_stream.records import Decision
+from hickory_stream.records import Decision, Phase
 from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.meshes import placed_mesh
 from hickory_stream.sinks.rerun.sink import RerunSink, ViewerChoice, ViewerKind
+from tests.engine.snapshot_fixtures import box_mesh
 from tests.sinks.report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, reports
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
@@ -138,7 +141,7 @@ def test_a_moved_map_is_logged_again_with_layers_and_walls(tmp_path):
     still = rows_of(play(tmp_path))
     columns = {"layer1/1/points": "Points3D:positions"}
     columns |= {f"layer{layer}/1": "Mesh3D:vertex_positions" for layer in (2, 3, 4)}
-    columns |= {f"structure/{part}": "Points3D:positions" for part in ("floor", "walls")}
+    columns |= {"structure/floor": "Points3D:positions", "structure/walls/0": "Mesh3D:vertex_positions"}
     for path, column in columns.items():
         there, here = (np.array(found[f"/world/{path}"][-1][column]).reshape(-1, 3) for found in (rows, still))
         np.testing.assert_allclose(there, apply(move, here), atol=1e-5)
@@ -170,6 +173,28 @@ def test_at_the_end_the_thumbnails_are_in_id_order(rows):
     assert (steps == steps[0]).all()
 
 
+def test_a_caption_of_a_view_changes_with_the_phase(tmp_path):
+    def ended(report):
+        if report.snapshot is None or report.index < NUM_FRAMES - KEYFRAME_EVERY:
+            return report
+        objects = tuple(replace(o, phase=Phase.ARCHIVED) for o in report.snapshot.objects)
+        return replace(report, snapshot=replace(report.snapshot, objects=objects))
+
+    before, after = (rows_of(play(tmp_path, change=change))["/views/1/caption"] for change in (None, ended))
+    assert len(after) == len(before) + 1
+    assert after[-1]["frame"] == NUM_FRAMES - KEYFRAME_EVERY
+
+
+def test_generated_surface_of_a_mesh_is_tinted(tmp_path):
+    box = box_mesh((1.0, 1.0, 1.0), (200, 200, 200))
+    mesh = replace(box, is_seen=np.arange(len(box.vertices)) > 3)
+    write_glb(mesh, tmp_path / "a.glb")
+    colors = np.array(placed_mesh(tmp_path / "a.glb", np.eye(4)).vertex_colors.as_arrow_array().to_pylist())
+    red, green = colors >> 24, colors >> 16 & 255
+    assert (red[:4] > green[:4] + 30).all()
+    assert (colors[4:] == 0xC8C8C8FF).all()
+
+
 def test_every_decision_is_a_line_of_text_under_its_kind(tmp_path, rows):
     expected = Counter(d.kind for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
     assert {kind: len(rows[f"/decisions/{kind}"]) for kind in expected} == expected
@@ -180,7 +205,7 @@ def test_decisions_of_an_object_are_an_entity_of_their_own(tmp_path, rows):
     expected = Counter(d.object_id for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
     del expected[None]
     assert {i: len(rows[f"/decisions_of/{i}"]) for i in expected} == expected
-    assert all(row["TextLog:text"][0].startswith("associate 4: ") for row in rows["/decisions_of/4"])
+    assert all(row["TextLog:text"][0].startswith("#4 associate: ") for row in rows["/decisions_of/4"])
 
 
 def test_what_is_routine_is_no_warning_and_a_jump_is_one(tmp_path):
@@ -188,11 +213,14 @@ def test_what_is_routine_is_no_warning_and_a_jump_is_one(tmp_path):
         Decision(kind="drop", object_id=4, text="never confirmed, after 2 sightings"),
         Decision(kind="pose_jump", object_id=None, text="the odometry jumped by 3.20 m: submap 1 begins"),
         Decision(kind="reject", object_id=None, text="mask (3, 5, 9, 12): 21 pixels, 60 needed"),
+        Decision(kind="phase", object_id=5, text="tentative -> active after 4 sightings"),
+        Decision(kind="phase", object_id=6, text="active -> dormant after 9 sightings"),
+        Decision(kind="view", object_id=7, text="frame 3: bound 3.040 <= best 3.205"),
     )
     rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
-    kinds = ("drop", "pose_jump", "reject")
+    kinds = ("drop", "pose_jump", "reject", "phase", "view")
     levels = {row["TextLog:text"][0]: row["TextLog:level"][0] for kind in kinds for row in rows[f"/decisions/{kind}"]}
-    assert [levels[text] for text in sorted(levels)] == ["INFO", "WARN", "DEBUG"]
+    assert [levels[text] for text in sorted(levels)] == ["INFO", "INFO", "DEBUG", "DEBUG", "WARN", "DEBUG"]
 
 
 def test_a_list_of_candidates_is_complete_in_rows_that_fit(tmp_path):
@@ -333,7 +361,7 @@ def test_what_was_merged_says_under_its_own_name_what_it_became(tmp_path):
     told = (Decision(kind="merge", object_id=7, text="#9 is the same: seen as one", other_id=9),)
     rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
     for path in ("/decisions_of/7", "/decisions_of/9"):
-        assert [row["TextLog:text"][0] for row in rows[path]] == ["merge 7: #9 is the same: seen as one"]
+        assert [row["TextLog:text"][0] for row in rows[path]] == ["#7 merge: #9 is the same: seen as one"]
 
 
 def test_the_state_of_robot_topics_shows_in_a_live_run_only(tmp_path):

@@ -1,5 +1,6 @@
 """Choosing a viewer, and colours of ids."""
 
+from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,6 +14,8 @@ from hickory_stream.sinks.rerun.viewer import (
     parse_viewer,
     start_viewer,
 )
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("kind", ["none", "spawn", "web"])
@@ -60,6 +63,13 @@ def test_a_window_without_a_screen_is_refused_with_advice(monkeypatch):
 def test_an_address_that_is_not_ours_is_refused():
     with pytest.raises(ViewerError, match=r"192\.0\.2\.1"):
         free_port(0, bind="192.0.2.1")
+
+
+@pytest.mark.parametrize("file", ["README.md", "tools/demo"])
+def test_commands_for_a_viewer_listen_on_this_machine_only(file):
+    lines = [line for line in (ROOT / file).read_text().splitlines() if "bin/rerun " in line]
+    assert lines
+    assert all("bin/rerun --bind 127.0.0.1 " in line for line in lines)
 
 
 @given(st.integers(0, 2000), st.integers(1, 4))

@@ -21,7 +21,7 @@ from hickory_stream.map_folder.history.core_replay import Replay, Replayed
 from hickory_stream.map_folder.history.frame_reports import final_report, in_map_frame
 from hickory_stream.map_folder.history.recorded_config import recorded_config
 from hickory_stream.ports import Sink
-from hickory_stream.records import FrameReport, MapSnapshot, Segmentation
+from hickory_stream.records import Decision, FrameReport, MapSnapshot, Segmentation
 
 
 def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
@@ -38,7 +38,12 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
             if shown.last is not None and shown.camera is not None:
                 pose = compose(shown.map_from_odometry, shown.last.world_from_camera)
                 final = final_report(
-                    shown.last, pose, shown.camera, snapshot, keyframe_index=shown.num_keyframes, decisions=()
+                    shown.last,
+                    pose,
+                    shown.camera,
+                    snapshot,
+                    keyframe_index=shown.num_keyframes,
+                    decisions=tuple(shown.unreported),
                 )
                 for sink in sinks:
                     sink.show(in_map_frame(final, snapshot))
@@ -64,6 +69,8 @@ class _Shown:
     last: FramePose | None = None
     camera: Camera | None = None
     num_keyframes: int = 0
+    #: decisions of steps that are no keyframe, such as the end of the log
+    unreported: list[Decision] = field(default_factory=list)
     map_from_odometry: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
@@ -80,7 +87,10 @@ def _show(again: Replay, journal: Journal, sinks: Sequence[Sink]) -> _Shown:
         for event in replayed.entry.events:
             if isinstance(event, KeyframeRegistered):
                 shown.map_from_odometry = event.map_from_odometry
-        newest = replayed.published.snapshot if replayed.published is not None else newest
+        if replayed.published is not None:
+            newest = replayed.published.snapshot
+            if step.kind is not StepKind.KEYFRAME:
+                shown.unreported += replayed.published.decisions
         shown.num_keyframes = step.num_keyframes
     return shown
 
@@ -111,6 +121,7 @@ def _reports(
                 observations=observed.observations,
                 object_ids=published.object_ids,
                 rejected=observed.rejected,
+                space=observed.space,
                 decisions=published.decisions,
                 snapshot=published.snapshot,
                 metrics=(*step.metrics, *published.metrics),

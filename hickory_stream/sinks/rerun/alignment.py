@@ -14,6 +14,7 @@ from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
+from hickory_stream.pictures.render_alignment import BLUE, ORANGE, alignment_meanings, pale
 from hickory_stream.sinks.rerun.items import new_stream
 from hickory_stream.sinks.rerun.piped_file import recorded_to
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.object_map import ObjectMap
 
-_BLUE, _ORANGE = (58, 118, 190), (238, 138, 48)
-_PALE = 0.55
 _GAP = 1.2
 _ALPHA = 140
 
@@ -35,6 +34,7 @@ def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alig
     import rerun as rr
 
     from hickory_stream.sinks.rerun.blueprint import side_by_side
+    from hickory_stream.sinks.rerun.labels import WIDE_LEGEND_PX, legend_item
 
     stream = new_stream(f"alignment-{path.stem}")
     with recorded_to(path, stream):
@@ -43,10 +43,12 @@ def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alig
             views = _log_joined(stream, map_a, map_b, answer)
         else:
             b_from = _beside(map_a, map_b)
-            _log_map(stream, "world/a", map_a, np.eye(4), _BLUE, set(map_a.ids.tolist()), 255)
-            _log_map(stream, "world/b", map_b, b_from, _ORANGE, set(map_b.ids.tolist()), 255)
+            _log_map(stream, "world/a", map_a, np.eye(4), BLUE, set(map_a.ids.tolist()), 255)
+            _log_map(stream, "world/b", map_b, b_from, ORANGE, set(map_b.ids.tolist()), 255)
             corners = np.concatenate([_corners(map_a, np.eye(4)), _corners(map_b, b_from)])
-            views = {"Not aligned: map a (blue), map b (orange)": (["/**"], corners)}
+            views = {"Not aligned": (["/world/**"], corners)}
+        legend = legend_item(alignment_meanings(is_aligned=isinstance(answer, Alignment)), WIDE_LEGEND_PX)
+        stream.log(legend.path, *legend.archetypes, static=True)
         stream.send_blueprint(side_by_side(views), make_active=True, make_default=True)
 
 
@@ -59,14 +61,14 @@ def _log_joined(
     # As high as shows both.
     lift_m = 0.4 * float(np.ptp(both[:, :2], axis=0).max()) + float(np.ptp(both[:, 2]))
     lifted = from_rotation_translation(np.eye(3), np.array([0.0, 0.0, lift_m])) @ answer.a_from_b
-    _log_map(stream, "world/joined/a", map_a, np.eye(4), _BLUE, in_a, _ALPHA)
-    _log_map(stream, "world/joined/b", map_b, answer.a_from_b, _ORANGE, in_b, _ALPHA)
-    _log_map(stream, "world/apart/a", map_a, np.eye(4), _BLUE, in_a, 255)
-    _log_map(stream, "world/apart/b", map_b, lifted, _ORANGE, in_b, 255)
+    _log_map(stream, "world/joined/a", map_a, np.eye(4), BLUE, in_a, _ALPHA)
+    _log_map(stream, "world/joined/b", map_b, answer.a_from_b, ORANGE, in_b, _ALPHA)
+    _log_map(stream, "world/apart/a", map_a, np.eye(4), BLUE, in_a, 255)
+    _log_map(stream, "world/apart/b", map_b, lifted, ORANGE, in_b, 255)
     apart = np.concatenate([corners_a, _corners(map_b, lifted)])
     _log_pairs(stream, map_a, map_b, answer, lifted, apart)
     return {
-        "Joined: map a (blue), map b (orange)": (["/world/joined/**"], both),
+        "Joined": (["/world/joined/**"], both),
         "Pairs: map b lifted off map a": (["/world/apart/**"], apart),
     }
 
@@ -82,20 +84,17 @@ def _log_pairs(
     import rerun as rr
 
     from hickory_stream.sinks.rerun.eye import SIDE_ASPECT, eye_on
-    from hickory_stream.sinks.rerun.labels import label_item, label_threads
+    from hickory_stream.sinks.rerun.labels import label_items
 
     place_a = dict(zip(map_a.ids.tolist(), map_a.centroids, strict=True))
     place_b = dict(zip(map_b.ids.tolist(), apply(lifted, map_b.centroids), strict=True))
     box_b = dict(zip(map_b.ids.tolist(), map_b.boxes, strict=True))
-    colors = [color_of_id(pair.id_a) for pair in answer.pairs]
-    texts = [f"{pair.id_a} = {pair.id_b}" for pair in answer.pairs]
+    colors = {pair.id_a: color_of_id(pair.id_a) for pair in answer.pairs}
+    texts = {pair.id_a: f"a{pair.id_a} = b{pair.id_b}" for pair in answer.pairs}
     ends = [[place_a[pair.id_a], place_b[pair.id_b]] for pair in answer.pairs]
-    stream.log("world/apart/pairs", rr.LineStrips3D(ends, colors=colors, radii=-1.0), static=True)
-    boxes = [apply(lifted, box_b[pair.id_b].corners_world()) for pair in answer.pairs]
-    tops = np.array([[*box.mean(axis=0)[:2], box[:, 2].max()] for box in boxes]).reshape(-1, 3)
-    threads = label_threads(tops, texts, eye_on(in_view, SIDE_ASPECT))
-    for i, pair in enumerate(answer.pairs):
-        item = label_item(f"world/apart/labels/{pair.id_a}", threads[i], texts[i], colors[i])
+    stream.log("world/apart/pairs", rr.LineStrips3D(ends, colors=list(colors.values()), radii=-1.0), static=True)
+    boxes = {pair.id_a: apply(lifted, box_b[pair.id_b].corners_world()) for pair in answer.pairs}
+    for item in label_items("world/apart/labels", boxes, texts, colors, eye_on(in_view, SIDE_ASPECT)):
         stream.log(item.path, *item.archetypes, static=True)
 
 
@@ -110,9 +109,8 @@ def _log_map(
 ) -> None:
     from hickory_stream.sinks.rerun.meshes import superquadric_mesh, wire_box
 
-    r, g, b = (round(c + (205 - c) * _PALE) for c in color)
     for object_id, shape, box in zip(objects.ids.tolist(), objects.shapes, objects.boxes, strict=True):
-        own = color if object_id in matched else (r, g, b)
+        own = color if object_id in matched else pale(color)
         if shape is None:
             item = wire_box(frame_from_map @ box.world_from_box, box.half_extents_m, own)
         else:

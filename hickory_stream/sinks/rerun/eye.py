@@ -37,6 +37,12 @@ class Eye:
         local = (np.asarray(points_world) - self.position) @ ROTATION
         return np.asarray(local[:, :2] / (2 * _HALF_TANGENT * np.maximum(local[:, 2:], 1e-3)))
 
+    def heights_m(self, points_world: NDArray[np.float64], rises: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far above (N, 3) points the places are that lie higher in the image by (N, K) fractions."""
+        down, depth = ((np.asarray(points_world) - self.position) @ ROTATION[:, 1:]).T[..., None]
+        steps = -2 * _HALF_TANGENT * rises
+        return np.asarray(steps * depth / (ROTATION[2, 1] - (down / depth + steps) * ROTATION[2, 2]))
+
 
 def eye_on(points_world: NDArray[np.float64], aspect: float) -> Eye:
     """Return the nearest eye with (N, 3) points in a view of `aspect` (width to height) or wider."""

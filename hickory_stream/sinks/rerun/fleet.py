@@ -236,22 +236,11 @@ def _blueprint(corners: NDArray[np.float64], ever: NDArray[np.float64]) -> Any:
     # (N, 3) corners of the final map, and of all that was shown at any time.
     import rerun.blueprint as rrb
 
-    from hickory_stream.sinks.rerun.blueprint import BACKGROUND
-    from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
+    from hickory_stream.sinks.rerun.blueprint import arranged, scene_view
+    from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT
 
-    main, wide = (
-        rrb.Spatial3DView(
-            origin="world",
-            name=name,
-            background=BACKGROUND,
-            line_grid=rrb.LineGrid3D(visible=False),
-            eye_controls=eye_on(points, aspect).controls() if len(points) else None,
-        )
-        for name, points, aspect in (
-            ("Robots, a colour each, where they are in the end", corners, MAIN_ASPECT),
-            ("All frames beside one another", ever, SIDE_ASPECT),
-        )
-    )
+    main = scene_view("Robots, a colour each, where they are in the end", ["world/**"], corners, MAIN_ASPECT)
+    wide = scene_view("All frames beside one another", ["world/**"], ever, SIDE_ASPECT)
     columns = rrb.TextLogColumns(timeline_columns=[KEYFRAME], text_log_columns=["body"])
     below = rrb.Horizontal(
         rrb.TextLogView(origin=TEXTS, name="Joins", columns=columns),
@@ -259,10 +248,5 @@ def _blueprint(corners: NDArray[np.float64], ever: NDArray[np.float64]) -> Any:
         rrb.TimeSeriesView(origin=FRAMES, name="Frames: 1 when all are joined"),
         column_shares=[2, 1, 1],
     )
-    return rrb.Blueprint(
-        rrb.Vertical(rrb.Horizontal(main, wide, column_shares=[3, 2]), below, row_shares=[4, 1]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=KEYFRAME),
-        auto_views=False,
-    )
+    above = rrb.Horizontal(main, wide, column_shares=[3, 2])
+    return arranged(rrb.Vertical(above, below, row_shares=[4, 1]), timeline=KEYFRAME)

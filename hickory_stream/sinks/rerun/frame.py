@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from hickory_stream.geometry.display import Components, color_of_id, main_components, readable_on_dark, rises
 from hickory_stream.records import Frame, FrameReport, Observation
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
-from hickory_stream.sinks.rerun.labels import label_size
+from hickory_stream.sinks.rerun.labels import CAMERA_COLOR, DOUBTED, label_size
 
 CAMERA = "world/camera"
 TRAJECTORY = "world/trajectory"
 # Class ids of masks: object ids, and this for an observation that went to no object.
 _UNASSIGNED = 65535
-_GREY = (150, 150, 150)
 _MILLIMETRES = 1000.0
 _SEGMENT_LENGTH = 64
 # More reasons than this on one image hide one another; they show when a box is pointed at.
@@ -38,7 +37,7 @@ def camera_items(report: FrameReport) -> list[LogItem]:
         resolution=(camera.width, camera.height),
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=0.35,
-        color=(255, 214, 90),
+        color=CAMERA_COLOR,
     )
     return [LogItem(path=CAMERA, archetypes=(pose, pinhole), span=Span.LASTING)]
 
@@ -76,7 +75,7 @@ def mask_items(report: FrameReport) -> list[LogItem]:
         array=np.array([o.box_px for o in report.observations], dtype=np.float32).reshape(-1, 4),
         array_format=rr.Box2DFormat.XYXY,
         labels=["" if i is None else str(i) for i in ids],
-        colors=[_GREY if i is None else color_of_id(i) for i in ids],
+        colors=[DOUBTED if i is None else color_of_id(i) for i in ids],
         radii=-1.0,
         show_labels=False,
     )
@@ -127,7 +126,7 @@ def rejected_items(report: FrameReport) -> list[LogItem]:
         array=np.array([r.box_px for r in report.rejected], dtype=np.float32).reshape(-1, 4),
         array_format=rr.Box2DFormat.XYXY,
         labels=[r.reason for r in report.rejected],
-        colors=[_GREY] * len(report.rejected),
+        colors=[DOUBTED] * len(report.rejected),
         radii=-1.0,
         show_labels=len(report.rejected) <= _MOST_LABELS,
     )
@@ -170,7 +169,7 @@ class ClassColors:
             return []
         self._known |= new | {0}
         classes = [(i, str(i), color_of_id(i)) for i in sorted(self._known - {0})]
-        context = rr.AnnotationContext([(0, "no object", (0, 0, 0, 0)), *classes, (_UNASSIGNED, "rejected", _GREY)])
+        context = rr.AnnotationContext([(0, "no object", (0, 0, 0, 0)), *classes, (_UNASSIGNED, "rejected", DOUBTED)])
         return [LogItem(path=CAMERA, archetypes=(context,), span=Span.STATIC)]
 
 
@@ -196,7 +195,7 @@ class Trajectory:
         return grown
 
     def _piece_item(self) -> LogItem:
-        line = rr.LineStrips3D([np.array(self._points)], colors=(255, 214, 90), radii=-1.5)
+        line = rr.LineStrips3D([np.array(self._points)], colors=CAMERA_COLOR, radii=-1.5)
         return LogItem(path=f"{TRAJECTORY}/{self._piece:04d}", archetypes=(line,), span=Span.LASTING)
 
 

@@ -12,11 +12,11 @@ from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.trajectories import ways_of
 from hickory_stream.records import EdgeStatus, FrameReport, GraphEdge, PoseGraphRecord
 from hickory_stream.sinks.rerun.items import LogItem, Span
+from hickory_stream.sinks.rerun.labels import AFTER, BEFORE, DOUBTED, LOOP
 from hickory_stream.sinks.rerun.plots import PLOTS
 
 GRAPH = "world/graph"
-_BEFORE, _AFTER, _LOOP = (232, 150, 60), (90, 170, 255), (70, 210, 120)
-_REFUSED, _NODE = (150, 150, 150), (176, 200, 236)
+_NODE = (176, 200, 236)
 _WIDTH, _NODE_PX = -1.5, -4.0
 # Lines have no dashes in Rerun: a loop that is not believed is drawn as so many pieces with gaps.
 _DASHES = 12
@@ -49,8 +49,8 @@ class GraphLines:
         self._logged = graph
         ways = ways_of(graph, self._stamps_ns, np.array(self._places))
         lines = [
-            _item("before", rr.LineStrips3D([ways.before], colors=_BEFORE, radii=_WIDTH)),
-            _item("after", rr.LineStrips3D([ways.after], colors=_AFTER, radii=_WIDTH)),
+            _item("before", rr.LineStrips3D([ways.before], colors=BEFORE, radii=_WIDTH)),
+            _item("after", rr.LineStrips3D([ways.after], colors=AFTER, radii=_WIDTH)),
             _item("submaps", _nodes(graph)),
             *(_item(f"loops/{status}", _loops(graph, status)) for status in _STATUSES),
         ]
@@ -81,7 +81,7 @@ def _loops(graph: PoseGraphRecord, status: EdgeStatus) -> rr.LineStrips3D:
             pieces = [ends] if status == "accepted" else _dashes(ends)
             strips += pieces
             labels += [_label(loop), *[""] * (len(pieces) - 1)]
-    color = _LOOP if status == "accepted" else _REFUSED
+    color = LOOP if status == "accepted" else DOUBTED
     is_told = status == "accepted" and len(labels) <= _MOST_SCORES
     return rr.LineStrips3D(strips, colors=color, radii=_WIDTH, labels=labels, show_labels=is_told)
 

@@ -1,22 +1,39 @@
-"""Labels above the objects, joined to them by a line, without overlap in the initial view.
+"""Legend, and labels above the objects, joined to them by a line, without overlap in the initial view.
 
 The viewer draws a label below its point and over everything else, so the points have to be apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import cv2
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
+from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, Color, legend_of
 from hickory_stream.records import Phase, TrackedObject
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, Eye, eye_on
 from hickory_stream.sinks.rerun.items import LogItem, Span, clear_item
 
-LABELS = "world/labels"
+LABELS, LEGEND = "world/labels", "legend"
+CAMERA_COLOR, BEFORE, AFTER, LOOP = (255, 214, 90), (232, 150, 60), (90, 170, 255), (70, 210, 120)
+DOUBTED, FLOOR_COLOR, WALLS_COLOR = (150, 150, 150), (112, 118, 130), (62, 70, 84)
+MEANINGS = (
+    ("an object has one colour in all views, faded unless active", color_of_id(1)),
+    (GENERATED_TEXT, GENERATED),
+    ("camera, its path", CAMERA_COLOR),
+    ("path of odometry", BEFORE),
+    ("corrected path", AFTER),
+    ("loop", LOOP),
+    ("rejected loop or mask", DOUBTED),
+    ("floor", FLOOR_COLOR),
+    ("walls", WALLS_COLOR),
+)
+_LEGEND_PX, WIDE_LEGEND_PX = 560, 1400
+BACKGROUND = (22, 25, 31)
 # Of a label, as shares of the height of the main view: 24 pixels of 670.
 _HEIGHT, _WIDTH, _WIDTH_PER_LETTER = 0.036, 0.015, 0.012
 _GAP = 0.01
@@ -76,10 +93,8 @@ def label_threads(tops: NDArray[np.float64], texts: Sequence[str], eye: Eye) -> 
     if len(tops) == 0:
         return np.empty((0, 3, 3))
     seen = eye.project(tops)
-    # How far up one metre leads in the view, there.
-    per_m = np.maximum(seen[:, 1] - eye.project(tops + np.array([0.0, 0.0, 0.01]))[:, 1], 1e-6) / 0.01
     below = _GAP + rises(seen, np.array([label_size(text) for text in texts]))
-    up = np.stack([np.zeros(len(tops)), below, below + _HEIGHT], axis=1) / per_m[:, None]
+    up = eye.heights_m(tops, np.stack([np.zeros(len(tops)), below, below + _HEIGHT], axis=1))
     return np.asarray(tops[:, None] + up[..., None] * np.array([0.0, 0.0, 1.0]))
 
 
@@ -89,6 +104,28 @@ def label_item(path: str, thread: NDArray[np.float64], text: str, color: tuple[i
     point = rr.Points3D(thread[2:], radii=-0.1, colors=color, labels=text, show_labels=True)
     line = rr.LineStrips3D([thread[:2]], radii=-0.5, colors=color)
     return LogItem(path=path, archetypes=(point, line), span=Span.LASTING)
+
+
+def label_items(
+    path: str,
+    boxes: Mapping[int, NDArray[np.float64]],
+    texts: Mapping[int, str],
+    colors: Mapping[int, Color],
+    eye: Eye,
+) -> list[LogItem]:
+    """Return labels above boxes, by id the (8, 3) corners of each, for a map that stays as it is."""
+    tops = np.array([[*box.mean(axis=0)[:2], box[:, 2].max()] for box in boxes.values()]).reshape(-1, 3)
+    threads = label_threads(tops, [texts[i] for i in boxes], eye)
+    return [label_item(f"{path}/{i}", threads[k], texts[i], colors[i]) for k, i in enumerate(boxes)]
+
+
+def legend_item(entries: Sequence[tuple[str, Color]], width_px: int = _LEGEND_PX) -> LogItem:
+    """Return a legend as a picture on a dark ground, which stays."""
+    # As wide as its view, which would enlarge a smaller one.
+    picture = legend_of(entries, width_px, ink=(225, 228, 234), ground=BACKGROUND)
+    _, png = cv2.imencode(".png", picture[..., ::-1])
+    image = rr.EncodedImage(contents=png.tobytes(), media_type="image/png")
+    return LogItem(path=LEGEND, archetypes=(image,), span=Span.STATIC)
 
 
 def _top_of(seen: TrackedObject) -> NDArray[np.float64]:

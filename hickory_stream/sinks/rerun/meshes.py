@@ -12,22 +12,26 @@ from numpy.typing import NDArray
 from hickory_stream.base.confined import read_within
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.display import shaded
-from hickory_stream.geometry.rigid import quaternion_from_rotation
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply, quaternion_from_rotation
 from hickory_stream.geometry.superquadric import Superquadrics, outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.map_folder.layout import SHAPES, VIEWS
+from hickory_stream.pictures.legend import with_tint, with_tinted_image
+from hickory_stream.pictures.raycast import Surface
 from hickory_stream.records import TrackedObject
 
 
 def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
-    """Return a layer-2 mesh in the world with normals: the viewer draws a GLB without them flat."""
+    """Return a layer-2 mesh in the world, generated surface tinted, with normals: the viewer draws it flat without."""
     mesh = mesh_of_file(read_within(path.parent, path.name))
-    vertices = mesh.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+    return mesh_of_surface(_placed(mesh, world_from_object), vertex_colors=with_tint(mesh.colors, mesh.is_seen))
+
+
+def mesh_of_surface(surface: Surface, **look: Any) -> Any:
+    """Return a surface as the viewer takes it; `look` are the other arguments of a Mesh3D."""
     return rr.Mesh3D(
-        vertex_positions=vertices.astype(np.float32),
-        triangle_indices=mesh.faces,
-        vertex_normals=_vertex_normals(vertices, mesh.faces),
-        vertex_colors=mesh.colors,
+        vertex_positions=surface.vertices, triangle_indices=surface.faces, vertex_normals=surface.normals, **look
     )
 
 
@@ -42,16 +46,18 @@ def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> An
     mesh = mesh_of_file(read_within(folder / SHAPES, tracked.shape.mesh_name))
     textured = textured_object(folder / VIEWS, tracked, mesh, texture_px)
     pose = tracked.shape.world_from_object
-    # The normals are those of the mesh, whose vertices are not apart at the borders of charts.
-    normals = _vertex_normals(mesh.vertices @ pose[:3, :3].T, mesh.faces)
-    vertices = textured.mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
     return rr.Mesh3D(
-        vertex_positions=vertices.astype(np.float32),
+        vertex_positions=_placed(textured.mesh, pose).vertices,
         triangle_indices=textured.mesh.faces,
-        vertex_normals=normals[textured.source],
+        # Those of the bare mesh, whose vertices are not apart at the borders of charts.
+        vertex_normals=_placed(mesh, pose).normals[textured.source],
         vertex_texcoords=textured.uv,
-        albedo_texture=textured.image,
+        albedo_texture=with_tinted_image(textured),
     )
+
+
+def _placed(mesh: Mesh, world_from_object: NDArray[np.float64]) -> Surface:
+    return Surface(vertices=apply(world_from_object, mesh.vertices), faces=mesh.faces, colors=mesh.colors, owner=0)
 
 
 def superquadric_mesh(
@@ -98,14 +104,3 @@ def tiles_mesh(rectangles: NDArray[np.float64], z_m: float, color: tuple[int, in
         vertex_normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (len(corners), 1)),
         albedo_factor=color,
     )
-
-
-def _vertex_normals(vertices: NDArray[Any], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return (V, 3) unit normals, each the mean of the adjacent faces' weighted by area."""
-    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    per_face = np.cross(b - a, c - a)
-    normals = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(per_face[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)

@@ -31,6 +31,13 @@ _GRID_BELOW_M, _PATH_ABOVE_M, _PATH_RADIUS_M = 0.08, 0.05, 0.02
 _LABEL_ABOVE_M = 0.25
 _FREE, _BLOCKED, _PATH, _ROBOT = (74, 80, 92), (40, 44, 53), (64, 160, 255), (238, 138, 48)
 _ALPHA = 150
+_MEANINGS = (
+    ("free for the robot", _FREE),
+    ("too near to an object or wall, or not observed", _BLOCKED),
+    ("path", _PATH),
+    ("robot", _ROBOT),
+    ("with numbers: layer 4 of objects", color_of_id(2)),
+)
 
 
 def write_plan(
@@ -46,6 +53,8 @@ def write_plan(
     import rerun as rr
 
     from hickory_stream.sinks.rerun.blueprint import one_map
+    from hickory_stream.sinks.rerun.eye import WHOLE_ASPECT, eye_on
+    from hickory_stream.sinks.rerun.labels import WIDE_LEGEND_PX, label_items, legend_item
     from hickory_stream.sinks.rerun.meshes import superquadric_mesh, tiles_mesh
 
     stream = new_stream(f"plan-{path.stem}")
@@ -55,6 +64,7 @@ def write_plan(
             # In one shade: the primitives of an object share many planes.
             mesh = superquadric_mesh(layer_four_of(tracked), color_of_id(tracked.id), alpha=_ALPHA, is_shaded=False)
             stream.log(f"world/layer4/{tracked.id}", mesh, static=True)
+        boxes = {tracked.id: tracked.box.corners_world() for tracked in obstacles_of(snapshot)}
         is_blocked = np.asarray(space.blocked().all(axis=(0, 1)))
         for name, cells, color in (("free", ~is_blocked, _FREE), ("blocked", is_blocked, _BLOCKED)):
             stream.log(
@@ -74,7 +84,11 @@ def write_plan(
             points = np.column_stack([answer.points, np.full(len(answer.points), space.floor_z_m + _PATH_ABOVE_M)])
             stream.log("world/path", rr.LineStrips3D([points], colors=_PATH, radii=_PATH_RADIUS_M), static=True)
             _drive(stream, space, answer)
-        corners = np.concatenate([ends, *(tracked.box.corners_world() for tracked in obstacles_of(snapshot))])
+        corners = np.concatenate([ends, *boxes.values()])
+        colors = {i: color_of_id(i) for i in boxes}
+        labels = label_items("world/labels", boxes, {i: str(i) for i in boxes}, colors, eye_on(corners, WHOLE_ASPECT))
+        for item in [*labels, legend_item(_MEANINGS, WIDE_LEGEND_PX)]:
+            stream.log(item.path, *item.archetypes, static=True)
         stream.send_blueprint(one_map("Plan", corners, timeline=TIMELINE), make_active=True, make_default=True)
 
 

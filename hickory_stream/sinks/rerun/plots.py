@@ -17,8 +17,8 @@ from hickory_stream.sinks.rerun.items import LogItem, Span
 PLOTS, DECISIONS, OBJECT_DECISIONS = "plots", "decisions", "decisions_of"
 # The groups of curves that there is one of per object, and what they show: S = ln(1 + sigma^2) R_area^a R_depth^b.
 _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "R_depth"}
-# What happens in every frame of a healthy run.
-_ROUTINE = ("associate", "view", "reject")
+# What changes which objects there are; all else is for those who ask.
+_CHANGES = ("merge", "split", "part", "drop", "room", "trim", "loop", "pose_correction")
 _JUMPS = ("time_jump", "pose_jump", "keep_out", "floor")
 # The viewer cuts a text at the edge of its view: a longer one is continued in another row.
 _LINE_LENGTH = 160
@@ -66,9 +66,10 @@ def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
 
 
 def _level(decision: Decision) -> Any:
-    if decision.kind in _ROUTINE:
-        return rr.TextLogLevel.DEBUG
-    return rr.TextLogLevel.WARN if decision.kind in _JUMPS else rr.TextLogLevel.INFO
+    if decision.kind in _JUMPS:
+        return rr.TextLogLevel.WARN
+    is_confirmed = decision.kind == "phase" and decision.text.startswith(Phase.TENTATIVE)
+    return rr.TextLogLevel.INFO if is_confirmed or decision.kind in _CHANGES else rr.TextLogLevel.DEBUG
 
 
 def _factors(object_id: int, view: View | None) -> list[tuple[str, float]]:
@@ -82,12 +83,12 @@ def _factors(object_id: int, view: View | None) -> list[tuple[str, float]]:
 
 
 def _sentence(decision: Decision) -> str:
-    about = "" if decision.object_id is None else f" {decision.object_id}"
-    return f"{decision.kind}{about}: {decision.text}"
+    about = "" if decision.object_id is None else f"#{decision.object_id} "
+    return f"{about}{decision.kind}: {decision.text}"
 
 
 def _curve(name: str) -> rr.SeriesLines:
     group, _, last = name.rpartition("/")
     if group in _PER_OBJECT and last.isdecimal():
-        return rr.SeriesLines(names=f"{_PER_OBJECT[group]} of {last}", colors=color_of_id(int(last)), widths=1.5)
+        return rr.SeriesLines(names=f"{_PER_OBJECT[group]} of #{last}", colors=color_of_id(int(last)), widths=1.5)
     return rr.SeriesLines(names=last, widths=1.5)

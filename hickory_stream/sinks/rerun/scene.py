@@ -17,7 +17,7 @@ from hickory_stream.sinks.rerun.frame import (
 )
 from hickory_stream.sinks.rerun.graph import GraphLines
 from hickory_stream.sinks.rerun.items import LogItem, Span
-from hickory_stream.sinks.rerun.labels import ObjectLabels
+from hickory_stream.sinks.rerun.labels import MEANINGS, ObjectLabels, legend_item
 from hickory_stream.sinks.rerun.objects import ObjectLayers
 from hickory_stream.sinks.rerun.plots import Plots, decision_items
 from hickory_stream.sinks.rerun.structure import Structure
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 # A growing cloud is logged at most this often.
 _CLOUD_PERIOD_S = 1.0
-# Floor and walls are logged every n-th keyframe.
-_STRUCTURE_EVERY = 20
 
 
 class RerunScene:
@@ -101,12 +99,11 @@ class RerunScene:
             items += self._graph.items(report)
             items += self._layers.update(report.snapshot.objects, report.stamp_ns)
             items += self._labels.update(report.snapshot.objects, report.stamp_ns)
-            assert report.keyframe_index is not None
-            if report.keyframe_index % _STRUCTURE_EVERY == 0:
-                items += self._structure.items(report.snapshot)
+            items += self._structure.grown(report.snapshot, report.space)
         return items
 
     def _first_items(self) -> list[LogItem]:
         import rerun as rr
 
-        return [LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC)]
+        axes = LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC)
+        return [axes, legend_item(MEANINGS)]

@@ -1,6 +1,6 @@
-"""Contact sheet of the best views, a thumbnail per object in the order of appearance.
+"""Contact sheet of the best views, a thumbnail with id and phase per object in the order of appearance.
 
-The number is drawn into the thumbnail: a label of the viewer keeps its size and would cover the next row.
+The caption is a picture: a label of the viewer keeps its size and would cover the next row.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ class BestViews:
     def __init__(self, jpeg_quality: int) -> None:
         self._jpeg_quality = jpeg_quality
         self._tiles: dict[int, int] = {}
+        self._captions: dict[int, str] = {}
 
     @property
     def num_tiles(self) -> int:
@@ -41,17 +42,24 @@ class BestViews:
         return len(self._tiles)
 
     def items(self, report: FrameReport) -> list[LogItem]:
-        """Return the thumbnails of objects whose best view is this frame, and clear those of removed objects."""
+        """Return new best views and captions that changed, and clear those of removed objects."""
         if report.snapshot is None:
             return []
         present = {o.id for o in report.snapshot.objects}
         gone = sorted(self._tiles.keys() - present)
         for object_id in gone:
-            del self._tiles[object_id]
+            del self._tiles[object_id], self._captions[object_id]
         items = [clear_item(f"{VIEWS}/{i}") for i in gone]
         seen = [o for o in report.snapshot.objects if o.best_view and o.best_view.frame_index == report.index]
         rgb = _rgb_of(report) if seen else None
-        return items if rgb is None else items + [item for o in seen for item in self._tile_items(o, rgb)]
+        if rgb is not None:
+            items += [item for o in seen for item in self._tile_items(o, rgb)]
+        for shown in report.snapshot.objects:
+            text = f"#{shown.id} {shown.phase}"
+            if shown.id in self._tiles and self._captions.get(shown.id) != text:
+                self._captions[shown.id] = text
+                items.append(self._caption_item(shown.id, text))
+        return items
 
     def finish(self) -> list[LogItem]:
         """Return all thumbnails without gaps, by object id."""
@@ -64,7 +72,7 @@ class BestViews:
         x0, y0, x1, y1 = seen.best_view.box_px
         taken = set(self._tiles.values())
         self._tiles.setdefault(seen.id, next(i for i in range(len(taken) + 1) if i not in taken))
-        image = encoded_jpeg(_tile(rgb[y0:y1, x0:x1], seen.id), self._jpeg_quality)
+        image = encoded_jpeg(_tile(rgb[y0:y1, x0:x1]), self._jpeg_quality)
         edge = rr.Boxes2D(mins=[(0, 0)], sizes=[(_TILE_PX, _TILE_PX + _STRIP_PX)], colors=color_of_id(seen.id))
         path = f"{VIEWS}/{seen.id}"
         return [
@@ -72,6 +80,16 @@ class BestViews:
             LogItem(path=f"{path}/image", archetypes=(image,), weight=Weight.HEAVY, span=Span.LASTING),
             LogItem(path=f"{path}/edge", archetypes=(edge,), span=Span.LASTING),
         ]
+
+    def _caption_item(self, object_id: int, text: str) -> LogItem:
+        image = np.full((_STRIP_PX, _TILE_PX, 3), _PADDING, dtype=np.uint8)
+        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)
+        place = ((_TILE_PX - width) // 2, (_STRIP_PX + height) // 2)
+        color = readable_on_dark(color_of_id(object_id))
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, color, 1, cv2.LINE_AA)
+        below = rr.Transform3D(translation=(0.0, _TILE_PX, 0.0))
+        path = f"{VIEWS}/{object_id}/caption"
+        return LogItem(path=path, archetypes=(below, encoded_jpeg(image, self._jpeg_quality)), span=Span.LASTING)
 
     def _place_item(self, object_id: int) -> LogItem:
         row, column = divmod(self._tiles[object_id], _COLUMNS)
@@ -90,17 +108,12 @@ def _rgb_of(report: FrameReport) -> NDArray[np.uint8] | None:
     return np.asarray(bgr[..., ::-1], dtype=np.uint8)
 
 
-def _tile(rgb: NDArray[np.uint8], object_id: int) -> NDArray[np.uint8]:
+def _tile(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     # Images of one entity keep their size: the viewer takes them for a video and complains otherwise.
     height, width = rgb.shape[:2]
     scale = _TILE_PX / max(height, width)
     size = (max(round(width * scale), 1), max(round(height * scale), 1))
-    tile = np.full((_TILE_PX + _STRIP_PX, _TILE_PX, 3), _PADDING, dtype=np.uint8)
+    tile = np.full((_TILE_PX, _TILE_PX, 3), _PADDING, dtype=np.uint8)
     top, left = (_TILE_PX - size[1]) // 2, (_TILE_PX - size[0]) // 2
     tile[top : top + size[1], left : left + size[0]] = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    text, font, thickness = str(object_id), cv2.FONT_HERSHEY_SIMPLEX, 2
-    text_size, _ = cv2.getTextSize(text, font, 0.8, thickness)
-    place = ((_TILE_PX - text_size[0]) // 2, _TILE_PX + (_STRIP_PX + text_size[1]) // 2)
-    color = readable_on_dark(color_of_id(object_id))
-    cv2.putText(tile, text, place, font, 0.8, color, thickness, cv2.LINE_AA)
     return tile
