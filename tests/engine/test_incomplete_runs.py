@@ -3,6 +3,7 @@
 import io
 import json
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
@@ -29,11 +30,14 @@ needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/ful
 def files_of_at_most(num_bytes: int) -> Iterator[None]:
     """Have every file end there, as it would on a disk that fills up."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # Python would keep the cut bytecode of a module, and fail to load it in later runs.
+    writes_no_bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = writes_no_bytecode
 
 
 @dataclass(frozen=True)
