@@ -623,7 +623,10 @@ OUTPUTS: dict[str, Any] = {
     "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
-    "segment": ("Masks of one frame.", {"picture": str, "masks": int, "objects": int, "rejected": list[RejectedMask]}),
+    "segment": (
+        "Masks of one frame; `floor_below_m` is None without a floor in view.",
+        {"picture": str, "masks": int, "objects": int, "floor_below_m": float | None, "rejected": list[RejectedMask]},
+    ),
     "generators-list": ("The generators in their folder.", {"folder": str, "generators": list[Generator]}),
     "generators-check": GeneratorChecked,
     "models-where": ("Folder of the models.", {"folder": str}),
