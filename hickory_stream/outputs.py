@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hickory_stream.batch.result import Overlap
     from hickory_stream.changes.records import ObjectChange
     from hickory_stream.evaluation.trajectory_error import TrajectoryError
+    from hickory_stream.map_folder.history.candidates import Candidates
     from hickory_stream.map_folder.history.registration_history import RegistrationSummary
     from hickory_stream.map_folder.history.time_travel import Change
     from hickory_stream.map_folder.verify import Finding
@@ -79,7 +80,7 @@ class Finished(TypedDict):
 
     `registration` says how keyframes were fitted to the map, None if they were not. `lost_outputs` are incomplete
     recordings and costmaps, `damage` is of the log ("" for a sound one), `notes` are about floor and gravity, `resume`
-    is the command that continues a stopped run.
+    is the command that continues a stopped run. `candidates` is None if the journal lacks the decisions.
     """
 
     event: Literal["finished"]
@@ -95,6 +96,7 @@ class Finished(TypedDict):
     damage: str
     notes: list[str]
     registration: RegistrationSummary | None
+    candidates: Candidates | None
     resume: NotRequired[str]
     ledger: dict[str, Any]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Print the summary of a run, and return the exit status."""
     from hickory_stream.engine.shape_jobs.job_folder import failed_shapes
     from hickory_stream.inspection.graph_summary import summary_of, summary_text
+    from hickory_stream.map_folder.history.candidates import candidates_of
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json
     from hickory_stream.mapping.floor_warnings import floor_warnings
@@ -33,6 +35,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     failures = failed_shapes(out, [tracked.id for tracked in objects if tracked.shape is None])
     ledger = read_json(out, "ledger.json")
     registration = registration_summary(out, ledger)
+    candidates = candidates_of(out, {tracked.id for tracked in objects})
     notes = floor_warnings(played.snapshot) if played.snapshot is not None else ()
     if options.json:
         said = {
@@ -53,11 +56,14 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             "damage": _damage(ledger),
             "notes": list(notes),
             "registration": None if registration is None else asdict(registration),
+            "candidates": None if candidates is None else asdict(candidates),
             "ledger": ledger,
         }
         print(output("play", said))
     else:
         print(f"{out}: {len(objects)} objects, {num_shaped} with all four layers")
+        if candidates is not None:
+            print(candidates.text())
         if played.is_reproducible and played.processor:
             print(f"reproducible on this kind of processor: {played.processor}")
         if ledger.get("messages"):
@@ -71,10 +77,26 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         if played.snapshot is not None and played.snapshot.graph is not None:
             print(summary_text(summary_of(played.snapshot.graph)))
         lines = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
+        sys.stdout.flush()
         sys.stderr.writelines(f"{line}\n" for line in lines if line)
+        if objects and getattr(options, "suggests", True):
+            print("look at it with:", *_looks(out, getattr(options, "rrd", None)), sep="\n  ")
     if played.was_stopped:
         return STOPPED
     return INCOMPLETE if played.lost_outputs or (failures and num_shaped == 0) else 0
+
+
+def _looks(out: Path, rrd: Path | None) -> list[str]:
+    # The next commands for a map: a table, a picture and the run on a timeline.
+    name, picture, timeline = (
+        shlex.quote(str(p)) for p in (out, out.with_suffix(".png"), rrd or out.with_suffix(".rrd"))
+    )
+    made = "" if rrd is not None else f"hickory-stream replay {name} --rrd {timeline} && "
+    return [
+        f"hickory-stream inspect {name}",
+        f"hickory-stream render {name} -o {picture}",
+        f"{made}rerun --bind 127.0.0.1 {timeline}",
+    ]
 
 
 def failures_line(failures: tuple[FailedShapes, ...], num_objects: int) -> str:
