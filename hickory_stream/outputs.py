@@ -621,6 +621,7 @@ OUTPUTS: dict[str, Any] = {
     "relocalise": Located,
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
+    "evaluate-labels": "hickory_stream.evaluation.match.Score",
     "evaluate-explain": ("What the figures of `evaluate` mean.", {"definitions": str}),
     "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",

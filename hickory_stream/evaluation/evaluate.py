@@ -180,8 +180,9 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
     seen = seen_samples(truth, surfaces, structure_meshes(truth))
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
+    shown = {item.id: item.seen_fraction for item in truth.objects}
     rows = tuple(
-        _object_row(row, by_id, meshes, surfaces[row.truth_id], seen[row.truth_id])
+        _object_row(row, shown[row.truth_id], by_id, meshes, surfaces[row.truth_id], seen[row.truth_id])
         for row in detection.truth
         if row.counts
     )
@@ -218,6 +219,7 @@ def true_surface(truth: Truth, item: TruthObject) -> TrueSurface:
 
 def _object_row(
     row: TruthScore,
+    seen_fraction: float,
     by_id: Mapping[int, TrackedObject],
     meshes: Mapping[int, Mesh],
     true: TrueSurface,
@@ -235,7 +237,7 @@ def _object_row(
         truth_id=row.truth_id,
         kind=row.kind,
         diameter_m=diameter_m(true.mesh.vertices),
-        seen_fraction=row.seen_fraction,
+        seen_fraction=seen_fraction,
         map_id=row.map_id,
         iou=row.iou,
         strict_map_id=row.strict_map_id,
