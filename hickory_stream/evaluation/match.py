@@ -129,27 +129,18 @@ def _matches(ious: NDArray[np.float64], min_iou: float) -> tuple[BoxMatch, ...]:
     )
 
 
-class TrueSurfaces:
-    """The meshes of a truth, read once to score many maps of one log; raises `RecordingError`."""
-
-    def __init__(self, truth: Truth) -> None:
-        if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
-            raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
-        surfaces = [surface_of(truth, item) for item in truth.objects]
-        self._true = [
-            TrueBox(
-                id=item.id,
-                kind=item.kind,
-                counts=item.seen_fraction >= MIN_SEEN,
-                boxes=(gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M),),
-            )
-            for item, surface in zip(truth.objects, surfaces, strict=True)
-        ]
-        self._scene = Scene(surfaces)
-
-    def score(self, snapshot: MapSnapshot, meshes: Mapping[int, Mesh]) -> Score:
-        """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames."""
-        return score_of(self._true, snapshot, meshes, lambda points_world: _owner(points_world, self._scene))
+def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
+    """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames. Raises `RecordingError`."""
+    if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
+        raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
+    surfaces = [surface_of(truth, item) for item in truth.objects]
+    boxes = [gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for surface in surfaces]
+    true = [
+        TrueBox(id=item.id, kind=item.kind, counts=item.seen_fraction >= MIN_SEEN, boxes=(box,))
+        for item, box in zip(truth.objects, boxes, strict=True)
+    ]
+    scene = Scene(surfaces)
+    return score_of(true, snapshot, meshes, lambda points_world: _owner(points_world, scene))
 
 
 def score_of(
@@ -192,11 +183,6 @@ def _best_ious(true: Sequence[TrueBox], map_boxes: Sequence[OrientedBox]) -> NDA
     kinds = [[item.boxes[min(k, len(item.boxes) - 1)] for item in true] for k in range(most)]
     best: NDArray[np.float64] = np.max([box_ious(boxes, map_boxes) for boxes in kinds], axis=0)
     return best
-
-
-def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
-    """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames. Raises `RecordingError`."""
-    return TrueSurfaces(truth).score(snapshot, meshes)
 
 
 def meshes_of(saved: SavedMap) -> dict[int, Mesh]:
