@@ -496,7 +496,10 @@ class Estimated(TypedDict):
 
 
 class BatchLog(TypedDict):
-    """Outcome of a log; `resumed`: it continued an existing map, `was_there`: an earlier run finished it."""
+    """Outcome of a log; `resumed`: it continued an existing map, `was_there`: an earlier run finished it.
+
+    `reason` says why there is no finished map, or what of the log is damaged.
+    """
 
     log: str
     map: str

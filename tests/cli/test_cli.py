@@ -409,6 +409,7 @@ def test_a_log_finds_itself_in_its_map_and_stops_there(made, short_log, coarse_c
     else:
         assert "confirmed" in ended.stdout
         assert "ERROR" not in ended.stderr
+        assert ended.stderr.count(", confirmed") == ended.stderr.count("first answer, not confirmed") == 1
 
 
 def test_the_dumped_configuration_is_valid_and_the_default(tmp_path):

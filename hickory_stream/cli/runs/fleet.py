@@ -115,9 +115,10 @@ class _Watcher:
         known = [self._at[name] for name in self._names if name in self._at]
         totals = [one.total for one in known]
         is_known = len(known) == len(self._names) and None not in totals
+        phases = {one.phase for one in known}
         self._printer(
             Sum(
-                phase=progress.phase if progress.phase == "compiling" else "playing",
+                phase=progress.phase if len(phases) == 1 or progress.phase == "compiling" else "playing",
                 frames=sum(one.frames for one in known),
                 total=sum(total for total in totals if total is not None) if is_known else None,
                 keyframes=sum(one.keyframes for one in known),
