@@ -137,7 +137,7 @@ def _told(task: LogTask, played: Played, worker: str, wall_s: float, *, resumes:
     return LogOutcome(
         name=task.name,
         state="mapped",
-        reason=damage_line(ledger["messages"]) if ledger.get("messages") else "",
+        reason=damage_line(ledger),
         digest=played.digest,
         processor=played.processor,
         keyframes=int(frames.get("keyframes", 0)),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.base.confined import OutsideError, whole_number
+from hickory_stream.base.confined import whole_number
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.match import SURFACE_REACH_M, Score, TrueBox, score_of
 from hickory_stream.geometry.boxes import OrientedBox
@@ -28,35 +28,28 @@ if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot
 
 LABELS_FILE = "boxes.json"
-_FORMAT = 1
 # Shares of points that differ by less are equal: the smaller box decides.
 _SHARE_SLACK = 0.05
 
 
 def load_labels(path: Path) -> tuple[TrueBox, ...]:
-    """Return the labelled boxes of a file or folder in the upright world, by id; raises `RecordingError`."""
+    """Return the labelled boxes of a file or folder in the upright world; raises `RecordingError`."""
     file = path / LABELS_FILE if path.is_dir() else path
     try:
         record = json.loads(file.read_bytes())
-        if (
-            not isinstance(record, dict)
-            or record.get("format") != _FORMAT
-            or not isinstance(record.get("objects"), list)
-        ):
-            raise ValueError(f"expected `format` {_FORMAT} and a list `objects`")
-        turn = from_rotation_translation(_numbers(record, "upright_from_world", (3, 3)), np.zeros(3))
-        if not is_rigid(turn):
+        if not isinstance(record, dict) or record.get("format") != 1 or not isinstance(record.get("objects"), list):
+            raise ValueError("expected `format` 1 and a list `objects`")
+        upright_from_world = _numbers(record, "upright_from_world", (3, 3))
+        if not is_rigid(from_rotation_translation(upright_from_world, np.zeros(3))):
             raise ValueError("`upright_from_world` is no rotation")
-        labels = [_label(row, i, turn[:3, :3]) for i, row in enumerate(record["objects"])]
-        if len({label.id for label in labels}) < len(labels):
-            raise ValueError("two objects have one `id`")
-        if not any(label.counts for label in labels):
-            raise ValueError("no object counts: every one has `ignore`")
+        labels = tuple(_label(i, row, upright_from_world) for i, row in enumerate(record["objects"]))
     except OSError as error:
         raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{file} is no file of labelled boxes: {error}") from error
-    return tuple(sorted(labels, key=lambda label: label.id))
+    if len({label.id for label in labels}) < len(labels) or not any(label.counts for label in labels):
+        raise RecordingError(f"{file} needs objects of different `id`, at least one of them without `ignore`")
+    return labels
 
 
 def score_labels(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], labels: Sequence[TrueBox]) -> Score:
@@ -72,39 +65,30 @@ def _owner(points_world: NDArray[np.float32], labels: Sequence[TrueBox]) -> int 
     return min(holding, key=lambda label: label.boxes[0].volume_m3).id if holding else None
 
 
-def _label(row: Any, index: int, upright_from_world: NDArray[np.float64]) -> TrueBox:
+def _label(index: int, row: Any, upright_from_world: NDArray[np.float64]) -> TrueBox:
     try:
         if not isinstance(row, dict):
             raise ValueError("expected keys and values")
-        parts = ["", "seen_"] if "seen_size" in row else [""]
-        return TrueBox(
-            id=whole_number(row.get("id"), "`id`"),
-            kind=str(row.get("name", row.get("kind", "object"))),
-            counts=row.get("ignore", False) is not True,
-            boxes=tuple(_box(row, part, upright_from_world) for part in parts),
-        )
-    except (ValueError, OutsideError) as error:
+        turn, boxes = yaw_rotation(float(_numbers(row, "yaw", ()))), []
+        for part in ("", "seen_") if "seen_size" in row else ("",):
+            center, size = (_numbers(row, part + key, (3,)) for key in ("center", "size"))
+            if not (size > 0).all():
+                raise ValueError(f"found `{part}size` {row[part + 'size']}, expected lengths above 0")
+            place = from_rotation_translation(turn, upright_from_world @ center)
+            boxes.append(OrientedBox(world_from_box=place, half_extents_m=size / 2))
+        name, number = str(row.get("name", row.get("kind", "object"))), whole_number(row.get("id"), "`id`")
+        return TrueBox(id=number, kind=name, counts=not row.get("ignore", False), boxes=tuple(boxes))
+    except ValueError as error:
         raise ValueError(f"objects[{index}]: {error}") from error
 
 
-def _box(row: dict[str, Any], part: str, upright_from_world: NDArray[np.float64]) -> OrientedBox:
-    center, size = (_numbers(row, part + key, (3,)) for key in ("center", "size"))
-    if not (size > 0).all():
-        raise ValueError(f"found `{part}size` {row[part + 'size']}, expected lengths above 0")
-    turn = yaw_rotation(float(_numbers(row, "yaw", ())))
-    return OrientedBox(
-        world_from_box=from_rotation_translation(turn, upright_from_world @ center), half_extents_m=size / 2
-    )
-
-
 def _numbers(row: dict[str, Any], key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    wanted = {(): "a number", (3,): "three numbers"}.get(shape, "three rows of three numbers")
     try:
-        numbers = np.array(row[key], dtype=np.float64)
-    except KeyError:
-        raise ValueError(f"found no `{key}`, expected {wanted}") from None
+        numbers = np.array(row.get(key), dtype=np.float64)
     except (TypeError, ValueError):
         numbers = np.array(np.nan)
     if numbers.shape != shape or not np.isfinite(numbers).all():
-        raise ValueError(f"found `{key}` {str(row[key])[:40]}, expected {wanted}")
+        found = f"`{key}` {str(row[key])[:40]}" if key in row else f"no `{key}`"
+        wanted = {(): "a number", (3,): "three numbers"}.get(shape, "three rows of three numbers")
+        raise ValueError(f"found {found}, expected {wanted}")
     return numbers

@@ -160,9 +160,20 @@ def score_of(
     ignored_ids = {item.id for item in ignored}
     aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
     aside |= {match.map_index for match in _matches(_best_ious(ignored, boxes), LOOSE_IOU)}
-    of_truth = {counting[match.truth_index].id: match for match in loose}
-    of_strict = {counting[match.truth_index].id: match for match in strict}
-    rows = tuple(_truth_score(item, of_truth.get(item.id), of_strict.get(item.id), objects, owners) for item in true)
+    of_truth = {counting[match.truth_index].id: (objects[match.map_index].id, match.iou) for match in loose}
+    of_strict = {counting[match.truth_index].id: objects[match.map_index].id for match in strict}
+    rows = tuple(
+        TruthScore(
+            truth_id=item.id,
+            kind=item.kind,
+            counts=item.counts,
+            map_id=of_truth.get(item.id, (None, 0.0))[0],
+            iou=of_truth.get(item.id, (None, 0.0))[1],
+            strict_map_id=of_strict.get(item.id),
+            track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
+        )
+        for item in true
+    )
     tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
     return Score(
         num_truth=len(counting),
@@ -212,24 +223,6 @@ def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
     if len(ids) == 0 or 2 * counts.max() <= len(some):
         return None
     return int(ids[np.argmax(counts)])
-
-
-def _truth_score(
-    item: TrueBox,
-    match: BoxMatch | None,
-    strict: BoxMatch | None,
-    objects: Sequence[TrackedObject],
-    owners: Sequence[int | None],
-) -> TruthScore:
-    return TruthScore(
-        truth_id=item.id,
-        kind=item.kind,
-        counts=item.counts,
-        map_id=None if match is None else objects[match.map_index].id,
-        iou=0.0 if match is None else match.iou,
-        strict_map_id=None if strict is None else objects[strict.map_index].id,
-        track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
-    )
 
 
 def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:

@@ -28,7 +28,10 @@ def run(options: argparse.Namespace) -> int:
     paths: list[Path] = options.maps
     if len(paths) < 2:
         raise InputError(f"found {len(paths)} map, expected at least two: merge A B [C ...] -o MAP")
-    if options.out.resolve() in [path.resolve() for path in paths]:
+    resolved = [path.resolve() for path in paths]
+    if twice := next((path for path, at in zip(paths, resolved, strict=True) if resolved.count(at) > 1), None):
+        raise InputError(f"{twice} is given twice, expected different maps")
+    if options.out.resolve() in resolved:
         raise InputError(f"-o {options.out} is one of the inputs; choose another folder")
     inputs = [open_map_at(path, warns=False) for path in paths]
     for saved in inputs:

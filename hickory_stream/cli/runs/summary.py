@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hickory_stream.cli.commands import INCOMPLETE, STOPPED
 from hickory_stream.cli.option_values import resume_command
@@ -29,6 +29,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json
     from hickory_stream.mapping.floor_warnings import floor_warnings
+    from players.doctor.report import damage_line, ledger_table
 
     objects = played.snapshot.objects if played.snapshot is not None else ()
     num_shaped = sum(tracked.shape is not None for tracked in objects)
@@ -53,7 +54,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
                 for one in failures
             ],
             "lost_outputs": list(played.lost_outputs),
-            "damage": _damage(ledger),
+            "damage": damage_line(ledger),
             "notes": list(notes),
             "registration": None if registration is None else asdict(registration),
             "candidates": None if candidates is None else asdict(candidates),
@@ -67,8 +68,6 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         if played.is_reproducible and played.processor:
             print(f"reproducible on this kind of processor: {played.processor}")
         if ledger.get("messages"):
-            from players.doctor.report import ledger_table
-
             print(ledger_table(ledger["messages"]))
         if not played.finished_cleanly:
             print(f"stopped, and saved; continue with: {resume_command(out)}")
@@ -76,7 +75,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             print(registration.text())
         if played.snapshot is not None and played.snapshot.graph is not None:
             print(summary_text(summary_of(played.snapshot.graph)))
-        lines = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
+        lines = (*notes, damage_line(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
         sys.stdout.flush()
         sys.stderr.writelines(f"{line}\n" for line in lines if line)
         if objects and getattr(options, "suggests", True):
@@ -117,9 +116,3 @@ def _ids(failure: FailedShapes) -> str:
     more = len(failure.object_ids) - _IDS_LISTED
     noun = "object" if len(failure.object_ids) == 1 else "objects"
     return f"{noun} {ids}" + (f" and {more} more" if more > 0 else "")
-
-
-def _damage(ledger: dict[str, Any]) -> str:
-    from players.doctor.report import damage_line
-
-    return damage_line(ledger["messages"]) if ledger.get("messages") else ""
