@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -53,11 +52,6 @@ missed       Why a true object that counts has no match, on the page and by `exp
 {_listed(MISS_REASONS)}
 false        Where an object comes from that has no match, and is not of ignored truth: one of
 {_listed(FALSE_ORIGINS)}"""
-
-
-def as_json(evaluation: Evaluation | Score) -> dict[str, Any]:
-    """Return an evaluation as JSON data."""
-    return dataclasses.asdict(evaluation)
 
 
 def format_evaluation(evaluation: Evaluation) -> str:

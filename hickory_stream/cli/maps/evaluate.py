@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from hickory_stream.evaluation.explain import DEFINITIONS, as_json, format_evaluation
+    from hickory_stream.evaluation.explain import DEFINITIONS, format_evaluation
 
     if options.explain:
         print(output("evaluate-explain", {"definitions": DEFINITIONS}) if options.json else DEFINITIONS)
@@ -50,13 +51,13 @@ def run(options: argparse.Namespace) -> int:
 
         with disk_refusals(options.html, "page"):
             write_page(options.html, saved, truth, evaluation)
-    print(output("evaluate", as_json(evaluation), indent=1) if options.json else format_evaluation(evaluation))
+    print(output("evaluate", asdict(evaluation), indent=1) if options.json else format_evaluation(evaluation))
     return 0
 
 
 def _labels(options: argparse.Namespace) -> int:
     from hickory_stream.cli.option_values import open_map_at
-    from hickory_stream.evaluation.explain import as_json, format_labels
+    from hickory_stream.evaluation.explain import format_labels
     from hickory_stream.evaluation.labels import load_labels, score_labels
     from hickory_stream.evaluation.match import meshes_of
 
@@ -67,5 +68,5 @@ def _labels(options: argparse.Namespace) -> int:
     score = score_labels(saved.snapshot, meshes_of(saved), labels)
     if score.num_objects and len(score.stray_ids) == score.num_objects:
         sys.stderr.write("note: no object lies on a label; labels must be in the world of the poses that were played\n")
-    print(output("evaluate-labels", as_json(score), indent=1) if options.json else format_labels(score))
+    print(output("evaluate-labels", asdict(score), indent=1) if options.json else format_labels(score))
     return 0
