@@ -27,7 +27,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     from hickory_stream.inspection.graph_summary import summary_of, summary_text
     from hickory_stream.map_folder.history.candidates import candidates_of
     from hickory_stream.map_folder.history.registration_history import registration_summary
-    from hickory_stream.map_folder.manifest import read_json
+    from hickory_stream.map_folder.manifest import read_json, read_manifest
     from hickory_stream.mapping.floor_warnings import floor_warnings
     from players.doctor.report import damage_line, ledger_table
 
@@ -37,13 +37,14 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     ledger = read_json(out, "ledger.json")
     registration = registration_summary(out, ledger)
     candidates = candidates_of(out, {tracked.id for tracked in objects})
+    goes_on = not played.finished_cleanly and read_manifest(out).run.get("mode") != "live"
     notes = floor_warnings(played.snapshot) if played.snapshot is not None else ()
     if options.json:
         said = {
             "event": "finished",
             "map": str(out),
             "finished_cleanly": played.finished_cleanly,
-            **({} if played.finished_cleanly else {"resume": resume_command(out)}),
+            **({"resume": resume_command(out)} if goes_on else {}),
             "is_reproducible": played.is_reproducible,
             "processor": played.processor or None,
             "digest": played.digest,
@@ -70,7 +71,8 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         if ledger.get("messages"):
             print(ledger_table(ledger["messages"]))
         if not played.finished_cleanly:
-            print(f"stopped, and saved; continue with: {resume_command(out)}")
+            how = f"continue with: {resume_command(out)}" if goes_on else "a live run cannot be continued"
+            print(f"stopped, and saved; {how}")
         if registration is not None and registration.text():
             print(registration.text())
         if played.snapshot is not None and played.snapshot.graph is not None:
