@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hickory_stream.batch.result import Overlap
     from hickory_stream.changes.records import ObjectChange
     from hickory_stream.evaluation.trajectory_error import TrajectoryError
+    from hickory_stream.map_folder.history.candidates import Candidates
     from hickory_stream.map_folder.history.registration_history import RegistrationSummary
     from hickory_stream.map_folder.history.time_travel import Change
     from hickory_stream.map_folder.verify import Finding
@@ -79,7 +80,7 @@ class Finished(TypedDict):
 
     `registration` says how keyframes were fitted to the map, None if they were not. `lost_outputs` are incomplete
     recordings and costmaps, `damage` is of the log ("" for a sound one), `notes` are about floor and gravity, `resume`
-    is the command that continues a stopped run.
+    is the command that continues a stopped run. `candidates` is None if the journal lacks the decisions.
     """
 
     event: Literal["finished"]
@@ -95,6 +96,7 @@ class Finished(TypedDict):
     damage: str
     notes: list[str]
     registration: RegistrationSummary | None
+    candidates: Candidates | None
     resume: NotRequired[str]
     ledger: dict[str, Any]
 
@@ -494,7 +496,10 @@ class Estimated(TypedDict):
 
 
 class BatchLog(TypedDict):
-    """Outcome of a log; `resumed`: it continued an existing map, `was_there`: an earlier run finished it."""
+    """Outcome of a log; `resumed`: it continued an existing map, `was_there`: an earlier run finished it.
+
+    `reason` says why there is no finished map, or what of the log is damaged.
+    """
 
     log: str
     map: str
@@ -619,11 +624,15 @@ OUTPUTS: dict[str, Any] = {
     "relocalise": Located,
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
+    "evaluate-labels": "hickory_stream.evaluation.match.Score",
     "evaluate-explain": ("What the figures of `evaluate` mean.", {"definitions": str}),
     "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
-    "segment": ("Masks of one frame.", {"picture": str, "masks": int, "objects": int, "rejected": list[RejectedMask]}),
+    "segment": (
+        "Masks of one frame; `floor_below_m` is None without a floor in view.",
+        {"picture": str, "masks": int, "objects": int, "floor_below_m": float | None, "rejected": list[RejectedMask]},
+    ),
     "generators-list": ("The generators in their folder.", {"folder": str, "generators": list[Generator]}),
     "generators-check": GeneratorChecked,
     "models-where": ("Folder of the models.", {"folder": str}),

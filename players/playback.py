@@ -112,8 +112,8 @@ class PlaybackClock:
     def describe(self) -> str:
         """Return the state of playback as text for the progress bar."""
         seconds = 0.0 if self.first_ns is None else (self.position_ns - self.first_ns) / 1e9
-        state = "paused" if self.is_paused else "max" if self.rate is None else f"{self.rate:g}x"
-        return f"at {seconds:.1f} s, {state}"
+        state = "paused" if self.is_paused else "full speed" if self.rate is None else f"{self.rate:g}x real time"
+        return f"at {seconds:.1f} s of the log, {state}"
 
 
 class PlayedSource(SourceAround):

@@ -222,6 +222,7 @@ def _too_small(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> NoAli
         if not len(objects):
             return NoAlignment(refusal=Refusal.EMPTY, reason=f"map {name} holds no object")
         if len(objects) < config.acceptance.min_pairs:
-            reason = f"map {name} holds {len(objects)} objects, {config.acceptance.min_pairs} pairs are needed"
+            count = f"{len(objects)} object{'' if len(objects) == 1 else 's'}"
+            reason = f"map {name} holds {count}, at least {config.acceptance.min_pairs} are needed"
             return NoAlignment(refusal=Refusal.TOO_FEW_OBJECTS, reason=reason)
     return None

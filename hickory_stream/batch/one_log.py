@@ -129,12 +129,15 @@ def _is_disk_full(error: BaseException | None) -> bool:
 
 def _told(task: LogTask, played: Played, worker: str, wall_s: float, *, resumes: bool) -> LogOutcome:
     from hickory_stream.map_folder.manifest import read_json
+    from players.doctor.report import damage_line
 
-    frames = read_json(task.out, "ledger.json").get("frames", {})
+    ledger = read_json(task.out, "ledger.json")
+    frames = ledger.get("frames", {})
     children, own = os.times(), time.process_time()
     return LogOutcome(
         name=task.name,
         state="mapped",
+        reason=damage_line(ledger),
         digest=played.digest,
         processor=played.processor,
         keyframes=int(frames.get("keyframes", 0)),

@@ -66,8 +66,8 @@ def _cells(row: Row) -> tuple[str, ...]:
 def _joined_lines(joined: Joined) -> list[str]:
     believed = sum(overlap.is_believed for overlap in joined.overlaps)
     lines = [
-        f"overlaps: {len(joined.overlaps)} of {joined.num_pairs} pairs aligned, {believed} believed; "
-        f"{joined.signature_kb:.0f} kB a place signature"
+        f"overlaps: {len(joined.overlaps)} of {joined.num_pairs} pairs of maps align"
+        + (f", of which {len(joined.overlaps) - believed} contradict others" if believed < len(joined.overlaps) else "")
     ]
     lines += [
         f"{one.path}: {one.num_objects} objects of {', '.join(one.names)}, {one.num_united} of them in several maps"

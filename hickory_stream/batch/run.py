@@ -185,7 +185,7 @@ def _num_bytes(path: Path) -> int:
 
 def _sentence(outcome: LogOutcome) -> str:
     if outcome.state != "mapped":
-        return f"{outcome.name}: {outcome.reason}"
+        return f"{outcome.name}: {outcome.state}, see the table for the reason"
     went_on = ", gone on with" if outcome.resumed else ""
     return (
         f"{outcome.name}: {outcome.objects} objects of {outcome.keyframes} keyframes in {outcome.wall_s:.0f} s{went_on}"

@@ -43,7 +43,7 @@ class LogTask:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogOutcome:
-    """Outcome of a log; `reason` says why there is no finished map."""
+    """Outcome of a log; `reason` says why there is no finished map, or what of the log is damaged."""
 
     name: str
     state: State

@@ -93,6 +93,8 @@ def unfinished_note(saved: SavedMap) -> str | None:
         check_unlocked(saved.folder)
     except MapFolderError:
         return f"{saved.folder} is being written: {known}, {journal_text}"
+    if mode == "live" and saved.manifest.digest is not None:
+        return f"the run of {saved.folder} did not end: {known}, and nothing is left to save"
     action = "save it with" if mode == "live" else "continue with"
     look = " (`inspect --at` shows any time of it)" if steps else ""
     return f"the run of {saved.folder} did not end: {known}, {journal_text}{look}; {action}: " + resume_command(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -180,8 +180,9 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
     seen = seen_samples(truth, surfaces, structure_meshes(truth))
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
+    shown = {item.id: item.seen_fraction for item in truth.objects}
     rows = tuple(
-        _object_row(row, by_id, meshes, surfaces[row.truth_id], seen[row.truth_id])
+        _object_row(row, shown[row.truth_id], by_id, meshes, surfaces[row.truth_id], seen[row.truth_id])
         for row in detection.truth
         if row.counts
     )
@@ -218,6 +219,7 @@ def true_surface(truth: Truth, item: TruthObject) -> TrueSurface:
 
 def _object_row(
     row: TruthScore,
+    seen_fraction: float,
     by_id: Mapping[int, TrackedObject],
     meshes: Mapping[int, Mesh],
     true: TrueSurface,
@@ -235,7 +237,7 @@ def _object_row(
         truth_id=row.truth_id,
         kind=row.kind,
         diameter_m=diameter_m(true.mesh.vertices),
-        seen_fraction=row.seen_fraction,
+        seen_fraction=seen_fraction,
         map_id=row.map_id,
         iou=row.iou,
         strict_map_id=row.strict_map_id,
@@ -262,13 +264,7 @@ def _summary(
         return float(np.mean([row.add_s_m is not None and row.add_s_m < limit * row.diameter_m for row in rows]))
 
     return Evaluation(
-        num_truth=detection.num_truth,
-        num_objects=detection.num_objects,
-        recall_25=detection.recall_25,
-        precision_25=detection.precision_25,
-        recall_50=detection.recall_50,
-        precision_50=detection.precision_50,
-        tracks_per_object=detection.tracks_per_object,
+        **{field.name: getattr(detection, field.name) for field in fields(Score) if field.name != "truth"},
         f1_1cm=float(np.mean([row.f1_1cm for row in rows])),
         f1_5pct=float(np.mean([row.f1_5pct for row in rows])),
         matched_f1_5pct=float(np.mean(matched)) if matched else 0.0,
@@ -279,8 +275,6 @@ def _summary(
         mask_purity=mask_purity,
         median_diameter_m=float(np.median([row.diameter_m for row in rows])),
         objects=rows,
-        stray_ids=detection.stray_ids,
-        ignored_ids=detection.ignored_ids,
         placement=placement,
     )
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.match import Score
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 
 _FIGURES = """\
@@ -23,6 +23,9 @@ recall       Share of the true objects that count that are matched, at IoU 0.25 
 precision    Share of the objects that are matched, at IoU 0.25 and at 0.5; objects on ignored truth are left out.
 tracks       Mean number of objects on a true object that has any. An object lies on a true object if more than half of
              its points are within 3 cm of it, and nearer to it than to any other true object.
+labels       Boxes labelled by hand give recall, precision and tracks alone. The IoU is the larger one of those with the
+             box of the whole object and with that of its seen part. An object lies on the smallest label that holds
+             more than half of its points, and is ignored with it.
 F1           Harmonic mean of recall (true surface samples within a distance of the placed mesh of layer 2) and
              precision (samples of that mesh within it of the true mesh), at 1 cm and at 5 % of the true diameter; the
              true samples are on the surface of the union of the object's parts that is visible from outside. A true
@@ -51,11 +54,6 @@ false        Where an object comes from that has no match, and is not of ignored
 {_listed(FALSE_ORIGINS)}"""
 
 
-def as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """Return an evaluation as JSON data."""
-    return dataclasses.asdict(evaluation)
-
-
 def format_evaluation(evaluation: Evaluation) -> str:
     """Return an evaluation as a table of true objects, worst first, and its figures."""
     lines = [
@@ -65,13 +63,13 @@ def format_evaluation(evaluation: Evaluation) -> str:
         match = f"#{row.map_id}" if row.map_id is not None else "-"
         add_s = f"{row.add_s_m / row.diameter_m:.3f}" if row.add_s_m is not None else "-"
         inside = f"{row.contained:.4f}" if row.contained is not None else "-"
-        tracks = " ".join(f"#{i}" for i in row.track_ids) or "-"
+        tracks = _ids(row.track_ids) or "-"
         name = f"{row.truth_id} {row.kind}"
         lines.append(
             f"{name:<22}{row.diameter_m:>7.2f}{row.seen_fraction:>7.2f}{match:>8}{row.iou:>7.2f}{row.f1_5pct:>7.2f}"
             f"{add_s:>9}{inside:>9}  {tracks}"
         )
-    strays = " ".join(f"#{i}" for i in evaluation.stray_ids) or "none"
+    strays = _ids(evaluation.stray_ids) or "none"
     lines += [
         "",
         f"objects on no true object: {strays}",
@@ -81,14 +79,35 @@ def format_evaluation(evaluation: Evaluation) -> str:
     return "\n".join(lines)
 
 
-def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
-    """Return the figures of an evaluation with their names, as text."""
-    e = evaluation
-    rows = [
+def format_labels(score: Score) -> str:
+    """Return a score against labelled boxes as a table of those that count, worst first, and its figures."""
+    lines = [f"{'label':<24}{'match':>8}{'IoU':>7}  objects on it"]
+    for row in sorted((row for row in score.truth if row.counts), key=lambda row: (row.iou, row.truth_id)):
+        match = f"#{row.map_id}" if row.map_id is not None else "-"
+        lines.append(f"{f'{row.truth_id} {row.kind}':<24}{match:>8}{row.iou:>7.2f}  {_ids(row.track_ids) or '-'}")
+    lines += ["", f"objects on no label: {_ids(score.stray_ids) or 'none'}"]
+    lines += [f"objects on ignored labels: {_ids(score.ignored_ids) or 'none'}", ""]
+    return "\n".join([*lines, *(f"{name:<24}{text}" for name, text in _counts(score))])
+
+
+def _ids(ids: Sequence[int]) -> str:
+    return " ".join(f"#{i}" for i in ids)
+
+
+def _counts(e: Evaluation | Score) -> list[tuple[str, str]]:
+    return [
         ("true objects / objects", f"{e.num_truth} / {e.num_objects}"),
         ("recall 0.25 / 0.5", f"{e.recall_25:.3f} / {e.recall_50:.3f}"),
         ("precision 0.25 / 0.5", f"{e.precision_25:.3f} / {e.precision_50:.3f}"),
         ("tracks per true object", f"{e.tracks_per_object:.3f}"),
+    ]
+
+
+def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """Return the figures of an evaluation with their names, as text."""
+    e = evaluation
+    rows = [
+        *_counts(e),
         ("F1 5 % / 1 cm", f"{e.f1_5pct:.3f} / {e.f1_1cm:.3f}"),
         ("F1 5 % of the matched", f"{e.matched_f1_5pct:.3f}"),
         ("ADD-S < 0.1 d / 0.05 d", f"{e.adds_10:.3f} / {e.adds_05:.3f}"),

@@ -20,7 +20,7 @@ from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,13 +45,22 @@ class BoxMatch:
     iou: float
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TrueBox:
+    """A true object by its box, or by several, of which the one with the largest IoU is compared."""
+
+    id: int
+    kind: str
+    counts: bool
+    boxes: tuple[OrientedBox, ...]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TruthScore:
-    """Outcome of one true object; `counts` is False if too little of it was seen."""
+    """Outcome of one true object; `counts` is False if too little of it was seen, or a label says so."""
 
     truth_id: int
     kind: str
-    seen_fraction: float
     counts: bool
     #: match at IoU 0.25; `iou` is 0 without one
     map_id: int | None
@@ -120,54 +129,71 @@ def _matches(ious: NDArray[np.float64], min_iou: float) -> tuple[BoxMatch, ...]:
     )
 
 
-class TrueSurfaces:
-    """The meshes of a truth, read once to score many maps of one log; raises `RecordingError`."""
-
-    def __init__(self, truth: Truth) -> None:
-        if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
-            raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
-        self._objects = truth.objects
-        surfaces = {item.id: surface_of(truth, item) for item in truth.objects}
-        self._boxes = {i: gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for i, surface in surfaces.items()}
-        self._scene = Scene(list(surfaces.values()))
-
-    def score(self, snapshot: MapSnapshot, meshes: Mapping[int, Mesh]) -> Score:
-        """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames."""
-        counting = [item for item in self._objects if item.seen_fraction >= MIN_SEEN]
-        ignored = [item for item in self._objects if item.seen_fraction < MIN_SEEN]
-        objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
-        boxes = [best_box(tracked, meshes) for tracked in objects]
-        owners = _owners(objects, self._scene)
-
-        counting_boxes = [self._boxes[item.id] for item in counting]
-        ious = box_ious(counting_boxes, boxes)
-        loose, strict = _matches(ious, LOOSE_IOU), _matches(ious, STRICT_IOU)
-        ignored_ids = {item.id for item in ignored}
-        aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
-        aside |= {match.map_index for match in match_boxes([self._boxes[item.id] for item in ignored], boxes)}
-        of_truth = {counting[match.truth_index].id: match for match in loose}
-        of_strict = {counting[match.truth_index].id: match for match in strict}
-        rows = tuple(
-            _truth_score(item, of_truth.get(item.id), of_strict.get(item.id), objects, owners) for item in self._objects
-        )
-        tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
-        return Score(
-            num_truth=len(counting),
-            num_objects=len(objects),
-            recall_25=len(loose) / len(counting),
-            recall_50=len(strict) / len(counting),
-            precision_25=_precision(loose, len(objects), aside),
-            precision_50=_precision(strict, len(objects), aside),
-            tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
-            truth=rows,
-            stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
-            ignored_ids=tuple(objects[i].id for i in sorted(aside)),
-        )
-
-
 def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
     """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames. Raises `RecordingError`."""
-    return TrueSurfaces(truth).score(snapshot, meshes)
+    if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
+        raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
+    surfaces = [surface_of(truth, item) for item in truth.objects]
+    boxes = [gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for surface in surfaces]
+    true = [
+        TrueBox(id=item.id, kind=item.kind, counts=item.seen_fraction >= MIN_SEEN, boxes=(box,))
+        for item, box in zip(truth.objects, boxes, strict=True)
+    ]
+    scene = Scene(surfaces)
+    return score_of(true, snapshot, meshes, lambda points_world: _owner(points_world, scene))
+
+
+def score_of(
+    true: Sequence[TrueBox],
+    snapshot: MapSnapshot,
+    meshes: Mapping[int, Mesh],
+    owner_of: Callable[[NDArray[np.float32]], int | None],
+) -> Score:
+    """Return the score of a map against boxes; `owner_of` returns the true object that (N, 3) points lie on, if any."""
+    counting, ignored = [item for item in true if item.counts], [item for item in true if not item.counts]
+    objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
+    boxes = [best_box(tracked, meshes) for tracked in objects]
+    owners = [owner_of(tracked.points_world) for tracked in objects]
+
+    ious = _best_ious(counting, boxes)
+    loose, strict = _matches(ious, LOOSE_IOU), _matches(ious, STRICT_IOU)
+    ignored_ids = {item.id for item in ignored}
+    aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
+    aside |= {match.map_index for match in _matches(_best_ious(ignored, boxes), LOOSE_IOU)}
+    of_truth = {counting[match.truth_index].id: (objects[match.map_index].id, match.iou) for match in loose}
+    of_strict = {counting[match.truth_index].id: objects[match.map_index].id for match in strict}
+    rows = tuple(
+        TruthScore(
+            truth_id=item.id,
+            kind=item.kind,
+            counts=item.counts,
+            map_id=of_truth.get(item.id, (None, 0.0))[0],
+            iou=of_truth.get(item.id, (None, 0.0))[1],
+            strict_map_id=of_strict.get(item.id),
+            track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
+        )
+        for item in true
+    )
+    tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
+    return Score(
+        num_truth=len(counting),
+        num_objects=len(objects),
+        recall_25=len(loose) / len(counting),
+        recall_50=len(strict) / len(counting),
+        precision_25=_precision(loose, len(objects), aside),
+        precision_50=_precision(strict, len(objects), aside),
+        tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
+        truth=rows,
+        stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
+        ignored_ids=tuple(objects[i].id for i in sorted(aside)),
+    )
+
+
+def _best_ious(true: Sequence[TrueBox], map_boxes: Sequence[OrientedBox]) -> NDArray[np.float64]:
+    most = max((len(item.boxes) for item in true), default=1)
+    kinds = [[item.boxes[min(k, len(item.boxes) - 1)] for item in true] for k in range(most)]
+    best: NDArray[np.float64] = np.max([box_ious(boxes, map_boxes) for boxes in kinds], axis=0)
+    return best
 
 
 def meshes_of(saved: SavedMap) -> dict[int, Mesh]:
@@ -190,10 +216,6 @@ def surface_of(truth: Truth, item: TruthObject) -> Surface:
     return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id)
 
 
-def _owners(objects: Sequence[TrackedObject], true_scene: Scene) -> list[int | None]:
-    return [_owner(tracked.points_world, true_scene) for tracked in objects]
-
-
 def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
     some = points_world[:: max(1, len(points_world) // _MAX_POINTS)]
     distance_m, owners = true_scene.nearest(some)
@@ -201,25 +223,6 @@ def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
     if len(ids) == 0 or 2 * counts.max() <= len(some):
         return None
     return int(ids[np.argmax(counts)])
-
-
-def _truth_score(
-    item: TruthObject,
-    match: BoxMatch | None,
-    strict: BoxMatch | None,
-    objects: Sequence[TrackedObject],
-    owners: Sequence[int | None],
-) -> TruthScore:
-    return TruthScore(
-        truth_id=item.id,
-        kind=item.kind,
-        seen_fraction=item.seen_fraction,
-        counts=item.seen_fraction >= MIN_SEEN,
-        map_id=None if match is None else objects[match.map_index].id,
-        iou=0.0 if match is None else match.iou,
-        strict_map_id=None if strict is None else objects[strict.map_index].id,
-        track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
-    )
 
 
 def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:

@@ -90,7 +90,7 @@ def load_truth(folder: Path) -> Truth:
     except FileNotFoundError as error:
         raise RecordingError(
             f"{folder} is no truth folder: it has no {TRUTH_FILE}. A synthetic recording "
-            "has one beside its log (NAME.truth)"
+            "has one beside its log (NAME.truth); labels by hand are a file boxes.json, for `evaluate`"
         ) from error
     except (OSError, ValueError, RecursionError) as error:
         raise RecordingError(f"{path} cannot be read as JSON: {error}. Make the recording again") from error

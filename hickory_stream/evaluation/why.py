@@ -57,6 +57,7 @@ class Why:
 class Investigation:
     """A map, a truth in the same world, their comparison, and the sightings of the truth."""
 
+    truth: Truth
     score: Score
     evidence: Evidence
 
@@ -86,7 +87,7 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
         confirm=mapping.lifecycle.confirm_sightings,
         existence=mapping.existence,
     )
-    return Investigation(score=score_map(saved.snapshot, meshes, placed), evidence=evidence)
+    return Investigation(truth=placed, score=score_map(saved.snapshot, meshes, placed), evidence=evidence)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -164,7 +165,7 @@ def story_of(found: Investigation, truth_id: int) -> ObjectStory:
     return ObjectStory(
         truth_id=truth_id,
         kind=row.kind,
-        seen_fraction=row.seen_fraction,
+        seen_fraction=next(item.seen_fraction for item in found.truth.objects if item.id == truth_id),
         counts=row.counts,
         map_id=row.map_id,
         iou=row.iou,

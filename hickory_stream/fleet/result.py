@@ -134,9 +134,5 @@ def _clock_notes(ended: Mapping[str, Ended]) -> tuple[str, ...]:
         and other.end_ns is not None
         and (one.end_ns < other.start_ns or other.end_ns < one.start_ns)
     ]
-    if not apart:
-        return ()
-    return (
-        f"the clocks of {', '.join(apart)} do not overlap: the maps are joined by what is in them, but in the "
-        "recording only the timeline of keyframes shows those robots side by side",
-    )
+    text = f"the clocks of {', '.join(apart)} do not overlap; the timeline of keyframes shows them side by side"
+    return (text,) if apart else ()

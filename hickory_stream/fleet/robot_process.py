@@ -130,7 +130,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
     finally:
         source.close()
     ledger = read_json(task.out, "ledger.json")
-    damage = damage_line(ledger["messages"]) if ledger.get("messages") else ""
+    damage = damage_line(ledger)
     return Ended(
         is_finished=played.finished_cleanly,
         was_stopped=played.was_stopped,

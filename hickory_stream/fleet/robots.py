@@ -100,7 +100,7 @@ def robots_of(texts: Sequence[str]) -> tuple[Robot, ...]:
 def checked(robots: tuple[Robot, ...]) -> tuple[Robot, ...]:
     """Return the robots if they are two or more with distinct names for folders; raises `ConfigError`."""
     if not 2 <= len(robots) <= MAX_ROBOTS:
-        raise ConfigError(f"found {len(robots)} robots, expected 2 to {MAX_ROBOTS}; `play` and `live` map a single one")
+        raise ConfigError(f"expected 2 to {MAX_ROBOTS} robots, found {len(robots)}; `play` and `live` map a single one")
     first: dict[str, Robot] = {}
     for robot in robots:
         if not _NAME.fullmatch(robot.name) or robot.name.casefold() == FLEET:

@@ -48,7 +48,7 @@ from hickory_stream.journal.mcap_file import FileMessage, messages_in
 from hickory_stream.journal.packed_frames import PackedFrame, unpacked_frame
 from hickory_stream.journal.record_codec import PartPlace, decode, part_references
 from hickory_stream.journal.snapshot_records import Known
-from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
+from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind, Told
 
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
 # A chunk that claims more is damaged: the state of a large map takes some tens of megabytes.
@@ -259,8 +259,12 @@ class Journal:
         others = self._chunks.messages(self._steps[index])[1:]
         known = [message for message in others if message.channel in EVENT_NAMES]
         events = [self._decoded(message.data, EVENT_NAMES[message.channel]) for message in known]
-        decided = [self._decoded(message.data, "Told") for message in others if message.channel == TOLD]
-        return JournalEntry(step=self.step(index), events=tuple(events), told=decided[0] if decided else None)
+        return JournalEntry(step=self.step(index), events=tuple(events), told=self.told(index))
+
+    def told(self, index: int) -> Told | None:
+        """Return the decisions of a step without its events."""
+        messages = self._chunks.messages(self._steps[index])
+        return next((self._decoded(m.data, "Told") for m in messages if m.channel == TOLD), None)
 
     def step(self, index: int) -> Step:
         """Return a step without its events."""

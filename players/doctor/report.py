@@ -95,9 +95,10 @@ def ledger_table(account: dict[str, Any]) -> str:
     return "\n".join(f"  {name:<10} {number!s:>9}  {detail}".rstrip() for name, number, detail in shown)
 
 
-def damage_line(account: dict[str, Any]) -> str:
-    """Return the damage of a log in one line; "" if it is sound."""
-    number = account["damaged_places"]
+def damage_line(ledger: dict[str, Any]) -> str:
+    """Return the damage of a run's log in one line; "" if it is sound or has no messages."""
+    account = ledger.get("messages") or {}
+    number = account.get("damaged_places")
     if not number:
         return ""
     places = "1 damaged place" if number == 1 else f"{number} damaged places"

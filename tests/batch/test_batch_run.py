@@ -4,6 +4,7 @@ Here a worker is a script that writes a folder instead of mapping; `test_batch_c
 """
 
 import errno
+import json
 import os
 import sys
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from hickory_stream.batch.result import BatchResult
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.batch.tasks import LogTask, names_of, software
 from hickory_stream.config import MapperConfig
+from hickory_stream.engine.play import Played
 from hickory_stream.errors import ConfigError, InputError, MapFolderError
 from hickory_stream.map_folder.layout import FolderLock
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
@@ -200,3 +202,19 @@ def test_a_disk_that_fills_up_is_told_from_other_failures(tmp_path, monkeypatch,
     monkeypatch.setattr(one_log, "_mapped", refuse)
     outcome = one_log.outcome_of(task(tmp_path))
     assert (outcome.state, outcome.reason) == (state, f"cannot write {tmp_path}: {os.strerror(number)}")
+
+
+def test_a_damaged_log_is_a_row_that_says_so(tmp_path, monkeypatch):
+    def mapped(task: LogTask, **_: object) -> Played:
+        task.out.mkdir()
+        damage = {"damaged_places": 1, "damage": ["a.mcap at byte 7: the file is cut off"]}
+        (task.out / "ledger.json").write_text(json.dumps({"messages": damage, "frames": {"keyframes": 9}}))
+        return Played(
+            snapshot=None, finished_cleanly=True, was_stopped=False, is_reproducible=True, processor="", digest="d"
+        )
+
+    monkeypatch.setattr(one_log, "_mapped", mapped)
+    outcome = one_log.outcome_of(task(tmp_path))
+    assert (outcome.state, outcome.keyframes) == ("mapped", 9)
+    assert "1 damaged place" in outcome.reason
+    assert "a.mcap at byte 7" in outcome.reason

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -71,6 +72,7 @@ class Made:
     by_two: Path
     rrd: Path
     ended: Ended
+    text: str
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +83,7 @@ def made(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPath
     one = look(*play, "--out", folder / "one", "--workers", 1, "--rrd", folder / "run.rrd", "--json", *textured)
     two = look(*play, "--out", folder / "two", "--workers", 2)
     assert one.status == two.status == 0, one.stderr + two.stderr
-    return Made(by_one=folder / "one", by_two=folder / "two", rrd=folder / "run.rrd", ended=one)
+    return Made(by_one=folder / "one", by_two=folder / "two", rrd=folder / "run.rrd", ended=one, text=two.stdout)
 
 
 def test_one_and_two_workers_and_a_recording_make_the_same_map(made):
@@ -99,8 +101,24 @@ def test_play_with_json_says_what_it_made(made):
     assert answer["digest"] == saved.manifest.digest == map_digest(saved.snapshot)
     assert answer["objects"] == len(saved.snapshot.objects) > 5
     assert answer["objects_with_shape"] == sum(tracked.shape is not None for tracked in saved.snapshot.objects) > 5
+    candidates = answer["candidates"]
+    assert candidates["made"] == candidates["kept"] + candidates["merged"] + candidates["dropped"]
+    assert candidates["kept"] == answer["objects"]
+    assert candidates["dropped"] == sum(candidates["causes"].values())
     assert answer["ledger"] == saved.ledger
     assert saved.ledger["source"]["frames"] == saved.ledger["frames"]["read"] == NUM_FRAMES
+
+
+def test_play_ends_with_three_commands_that_work(made):
+    _, _, looks = made.text.partition("look at it with:\n")
+    inspect, picture, timeline = (line.strip() for line in looks.splitlines())
+    assert "candidates became" in made.text
+    replay, _, viewer = timeline.partition(" && ")
+    for line in (inspect, picture, replay):
+        ended = look(*shlex.split(line)[1:])
+        assert ended.status == 0, ended.stderr
+    assert viewer == f"rerun --bind 127.0.0.1 {made.by_two}.rrd"
+    assert Path(f"{made.by_two}.rrd").is_file()
 
 
 def test_progress_is_a_json_object_per_line_on_standard_error(made):
@@ -391,6 +409,7 @@ def test_a_log_finds_itself_in_its_map_and_stops_there(made, short_log, coarse_c
     else:
         assert "confirmed" in ended.stdout
         assert "ERROR" not in ended.stderr
+        assert ended.stderr.count(", confirmed") == ended.stderr.count("first answer, not confirmed") == 1
 
 
 def test_the_dumped_configuration_is_valid_and_the_default(tmp_path):

@@ -9,6 +9,7 @@ from hickory_stream.alignment.answer import NoAlignment, Refusal
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
+from hickory_stream.cli.maps.align import named_maps, pose_text
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.relocalise import relocalise
 from hickory_stream.geometry.rigid import invert
@@ -95,6 +96,13 @@ def test_the_table_of_two_methods(maps, capsys):
     assert "two for each scene" in capsys.readouterr().err
     assert paper(["alignment", *pair, "--truth", "x"]) == 2
     assert "one for each map" in capsys.readouterr().err
+
+
+def test_a_place_has_no_negative_zero_and_a_reason_names_its_maps():
+    nearly = np.eye(4)
+    nearly[:3, 3] = (-1e-5, 0.0004, -2.0)
+    assert pose_text(nearly) == ("(0.000, 0.000, -2.000) m", "turned by 0.00 deg")
+    assert named_maps("map b holds 3 objects, map a more", "old map b", "new") == "new holds 3 objects, old map b more"
 
 
 def test_a_log_of_another_place_is_not_found_in_a_map():

@@ -11,17 +11,20 @@ import pytest
 from hickory_stream.cli import main
 from hickory_stream.evaluation.evaluate import Evaluation, evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.match import surface_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.why import Why, reasons_of
 from hickory_stream.evaluation.why_text import why_text
 from hickory_stream.events import FrameObserved
+from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.recorded import RecordedStep, frame_indices, recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Observation
+from tests.output_forms import checked
 
 
 @pytest.fixture(scope="module")
@@ -263,3 +266,31 @@ def test_a_run_that_was_killed_is_explained_as_far_as_it_came(short_map, demo_tr
     told = explain.json(killed, "--truth", demo_truth)
     assert told["num_keyframes"] == num_keyframes
     assert len(told["missed"]) >= len(why.missed)
+
+
+def test_labels_by_hand_score_a_map_as_its_whole_truth_does(found, short_map, demo_truth, tmp_path, capsys):
+    labels = []
+    for item in (truth := load_truth(demo_truth)).objects:
+        box = gravity_aligned_box(surface_of(truth, item).vertices, 0.005)
+        yaw = np.arctan2(box.world_from_box[1, 0], box.world_from_box[0, 0])
+        size = {"center": box.center.tolist(), "size": (2 * box.half_extents_m).tolist(), "yaw": float(yaw)}
+        labels.append({"id": item.id, "name": item.kind, "ignore": item.seen_fraction < 0.3, **size})
+    content = {"format": 1, "upright_from_world": np.eye(3).tolist(), "objects": labels}
+    (tmp_path / "boxes.json").write_text(json.dumps(content))
+    assert main(["evaluate", str(short_map), "--truth", str(tmp_path), "--json"]) == 0
+    told = checked(json.loads(capsys.readouterr().out))
+    for name in ("num_truth", "num_objects", "recall_25", "recall_50"):
+        assert told[name] == pytest.approx(getattr(found, name)), name
+    assert not {"f1_5pct", "containment", "poses"} & told.keys()
+    assert main(["evaluate", str(short_map), "--truth", str(tmp_path), "--html", str(tmp_path / "a.html")]) == 2
+    assert "boxes have no surfaces" in capsys.readouterr().err
+
+
+def test_labels_of_another_world_are_noticed(short_map, tmp_path, capsys):
+    far = {"id": 1, "center": [90, 0, 0], "size": [1, 1, 1], "yaw": 0}
+    content = {"format": 1, "upright_from_world": np.eye(3).tolist(), "objects": [far]}
+    (tmp_path / "far.json").write_text(json.dumps(content))
+    assert main(["evaluate", str(short_map), "--truth", str(tmp_path / "far.json")]) == 0
+    told = capsys.readouterr()
+    assert "labels must be in the world of the poses" in told.err
+    assert "recall 0.25 / 0.5       0.000 / 0.000" in told.out

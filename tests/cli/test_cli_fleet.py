@@ -155,7 +155,7 @@ def test_the_recording_has_every_robot_and_moves_joined_ones(by_two):
     [
         (("--robot", "a=MADE/f-1.mcap", "--robot", "a=MADE/f-2.mcap"), "two robots are called a"),
         (("--robot", "a=MADE/f-1.mcap", "--robot", "b=MADE/none.mcap"), "robot b: there is no"),
-        (("--robot", "a=MADE/f-1.mcap"), "found 1 robots"),
+        (("--robot", "a=MADE/f-1.mcap"), "robots, found 1;"),
         ((), "expected either FLEET.toml, or --robot"),
         (("MADE/f.toml", "--robot", "a=b"), "expected either FLEET.toml, or --robot"),
         (("MADE/f.toml", "--every", "0"), "every_keyframes"),

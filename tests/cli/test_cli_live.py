@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+from subprocess import PIPE
 from hickory_stream.cli import main
 from tests.cli.test_cli import COMMAND, look
 
@@ -40,15 +41,17 @@ def test_a_signal_ends_a_live_run_while_it_waits(short_log, coarse_config, tmp_p
     command = [*COMMAND, *live, *NO_SHAPES]
     # All but the footer: for the reader the robot is still there.
     with (
-        subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, text=True) as process,
+        subprocess.Popen([str(word) for word in command], stdout=PIPE, stderr=PIPE, text=True) as process,
         pipe.open("wb") as stream,
     ):
         stream.write(short_log.read_bytes()[:-100])
         stream.flush()
         assert process.stderr is not None
+        assert process.stdout is not None
         assert any("mapping: frame" in line for line in process.stderr)
         process.send_signal(signal.SIGTERM)
         process.stderr.read()
+        assert "stopped, and saved; a live run cannot be continued" in process.stdout.read()
         assert process.wait(60) == 130
     ledger = json.loads((out / "ledger.json").read_text())
     assert ledger["messages"]["difference"] == 0

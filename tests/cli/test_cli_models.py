@@ -99,6 +99,18 @@ def test_one_frame_is_segmented_and_drawn(tmp_path, capsys, color_shape):
     assert cv2.imread(str(tmp_path / "s.png")).shape[1] == 1280
 
 
+def test_a_picture_without_a_floor_asks_for_the_direction_down(tmp_path, capsys):
+    files = frame_files(tmp_path)
+    status, _, err = said(capsys, "segment", *files, "-o", tmp_path / "s.png")
+    assert status == 0
+    assert err.startswith("note: no floor is in view")
+    assert "--down X,Y,Z, e.g. --down 0,1,1" in err
+    # A camera that looks straight down: the surface 1.5 m before it is the floor.
+    status, out, err = said(capsys, "segment", *files, "-o", tmp_path / "down.png", "--down", "0,0,1")
+    assert "floor 1.50 m below the camera" in out
+    assert "note" not in err
+
+
 def test_a_profile_brings_the_intrinsics_of_both_cameras(tmp_path, capsys):
     files = frame_files(tmp_path, depth_shape=(480, 640), color_shape=(480, 640, 3))
     options = ("--profile", "seven_scenes", "--down", "-0.1,1,0", "-o", tmp_path / "s.png")

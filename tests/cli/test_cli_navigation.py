@@ -73,7 +73,7 @@ def test_plan_exits_with_3_without_a_path_and_2_on_bad_requests(folder, tmp_path
         (["--start", "0.7,0.6", "--goal", "99,1"], "outside of the map"),
         (["--start", "nan,0.6", "--goal", "1,1"], "two finite numbers"),
         (["--start", "one", "--goal", "1,1"], "expected X,Y in metres"),
-        (["--start", "1,1", "--goal", "2,1", "--robot", "rover"], "known are b2, jackal, point"),
+        (["--start", "1,1", "--goal", "2,1", "--robot", "rover"], "known are b2, go2, jackal, point"),
         (["--start", "1,1", "--goal", "2,1", "--cell", "0.0001"], "MiB, allowed are"),
         (["--start", "1,1", "--goal", "2,1", "-o", str(tmp_path / "plan.jpg")], "ends in .png or .rrd"),
     ):
@@ -193,7 +193,7 @@ def test_no_robot_is_taken_that_nobody_named(folder, demo_log, tmp_path, command
     monkeypatch.chdir(tmp_path)
     name, *arguments = command
     assert main([name, str(demo_log if name == "play" else folder), *arguments]) == 2
-    expected = "a robot: b2, jackal, point, or a file FILE.toml"
+    expected = "a robot: b2, go2, jackal, point, spot"
     assert f"found no {option}, expected {expected}" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

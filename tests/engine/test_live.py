@@ -195,6 +195,8 @@ def test_a_killed_live_run_is_saved_up_to_its_last_step(tmp_path, capsys):
     assert saved["event"] == "saved"
     assert saved["digest"] == map_digest(open_map(folder).snapshot) == map_digest(replay(folder))
     assert not open_map(folder).manifest.finished_cleanly
+    assert main(["inspect", str(folder)]) == 0
+    assert "nothing is left to save" in capsys.readouterr().err
 
 
 class Restamped(SceneSource):

@@ -40,7 +40,7 @@ def test_robots_are_read_in_order_with_paths_beside_the_file(tmp_path):
         ("every_keyframes = 0\n" + TWO, "every_keyframes"),
         ('[robots.a]\nlog = "a.mcap"\n', "unknown key robots"),
         ('[robot]\nname = "a"\n', r"expected a table \[\[robot\]\]"),
-        ('[[robot]]\nname = "a"\nlog = "a.mcap"\n', "found 1 robots, expected 2"),
+        ('[[robot]]\nname = "a"\nlog = "a.mcap"\n', "expected 2 to 64 robots, found 1"),
         ("a =", "is not TOML"),
     ],
 )
@@ -68,7 +68,7 @@ def test_robots_are_named_on_the_command_line():
     [
         (["a.mcap", "b=b.mcap"], "found --robot a.mcap, expected NAME=LOG"),
         (["a=a.mcap", "a=b.mcap"], "two robots are called a"),
-        (["a=a.mcap"], "found 1 robots"),
+        (["a=a.mcap"], "expected 2 to 64 robots, found 1"),
     ],
 )
 def test_a_command_line_that_names_no_fleet_is_refused(texts, said):

@@ -177,7 +177,9 @@ def test_maps_of_different_places_are_not_merged(tmp_path, capsys):
     a = save(tmp_path / "a", snapshot_of(ITEMS[:10], np.eye(4)))
     b = save(tmp_path / "b", snapshot_of(furniture(10, 55), np.eye(4)))
     assert main(["merge", str(a), str(b), "-o", str(tmp_path / "m")]) == 3
-    assert "nothing was merged" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert told.endswith("nothing was merged\n")
+    assert "left out" not in told
     assert not (tmp_path / "m").exists()
 
 
@@ -185,5 +187,7 @@ def test_merge_refuses_one_map_and_a_result_that_is_an_input(tmp_path, capsys):
     a, b = (save(tmp_path / name, snapshot_of(ITEMS[:4], np.eye(4))) for name in "ab")
     assert main(["merge", str(a), "-o", str(tmp_path / "m")]) == 2
     assert "at least two" in capsys.readouterr().err
+    assert main(["merge", str(a), str(b), f"{b}/", "-o", str(tmp_path / "m")]) == 2
+    assert "b is given twice" in capsys.readouterr().err
     assert main(["merge", str(a), str(b), "-o", str(a)]) == 2
     assert "is one of the inputs; choose another folder" in capsys.readouterr().err

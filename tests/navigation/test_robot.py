@@ -7,11 +7,30 @@ SPHERES = '[[posture]]\nname = "arm"\nspheres_m = [[0.0, 0.0, 0.3, 0.2], [0.3, 0
 
 
 def test_the_robots_that_ship_load_with_their_stated_size():
-    assert robot_names() == ("b2", "jackal", "point")
     heights = {name: [posture.height_m for posture in load_robot(name).postures] for name in robot_names()}
-    assert heights == {"b2": [0.645, 0.42], "jackal": [0.45, 0.26], "point": [0.2]}
-    assert [load_robot(name).num_headings for name in robot_names()] == [24, 24, 1]
+    assert heights == {
+        "b2": [0.645, 0.42], "go2": [0.4], "jackal": [0.45, 0.26], "point": [0.2], "spot": [0.61, 0.52],
+        "turtlebot3_burger": [0.192], "turtlebot3_waffle": [0.141], "turtlebot4": [0.351],
+    }  # fmt: skip
+    assert [name for name in robot_names() if load_robot(name).num_headings == 1] == ["point", "turtlebot4"]
+    assert load_robot("turtlebot4").reach_m == 0.342 / 2
     assert load_robot("b2").reach_m == pytest.approx(np.hypot(0.549, 0.225))
+
+
+# Length and width of the makers' data sheets, in metres.
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("b2", (1.098, 0.45)),
+        ("go2", (0.7, 0.31)),
+        ("spot", (1.1, 0.5)),
+        ("turtlebot3_burger", (0.138, 0.178)),
+        ("turtlebot3_waffle", (0.281, 0.306)),
+    ],
+)
+def test_the_footprint_of_a_robot_has_the_size_of_its_maker(name, size):
+    for posture in load_robot(name).postures:
+        assert np.ptp(posture.parts[0].corners_m, axis=0) == pytest.approx(size)
 
 
 def test_a_robot_of_spheres_is_read_from_a_file(tmp_path):
@@ -51,7 +70,7 @@ def test_a_file_that_is_no_robot_is_refused_with_the_reason(tmp_path, text, comp
 
 
 def test_an_unknown_robot_is_refused_with_the_known_ones():
-    with pytest.raises(ConfigError, match="known are b2, jackal, point"):
+    with pytest.raises(ConfigError, match="known are b2, go2, jackal, point"):
         load_robot("rover")
     with pytest.raises(ConfigError, match="cannot read the robot"):
         load_robot("no/such/file.toml")

@@ -29,10 +29,10 @@ def test_without_a_rate_frames_are_due_at_once():
 
 def test_playback_counts_from_a_first_frame_at_stamp_zero():
     clock = PlaybackClock(None)
-    assert clock.describe() == "at 0.0 s, max"
+    assert clock.describe() == "at 0.0 s of the log, full speed"
     for stamp_ns in (0, 2_500_000_000):
         clock.wait(stamp_ns)
-    assert clock.describe() == "at 2.5 s, max"
+    assert clock.describe() == "at 2.5 s of the log, full speed"
 
 
 def test_a_start_after_the_end_says_how_long_the_log_is():

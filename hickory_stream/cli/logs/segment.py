@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,11 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import Frame
     from players.profile import Profile
+
+_NO_FLOOR = (
+    "no floor is in view, so that pieces of floor, walls and tables may count as objects. Unless the camera is level, "
+    "give the direction down with --down X,Y,Z, e.g. --down 0,1,1 for a camera that looks down by 45 degrees"
+)
 
 
 def add(commands: Commands) -> None:
@@ -58,15 +64,19 @@ def run(options: argparse.Namespace) -> int:
     patches = extractor.extract(np.asarray(frame.rgb))
     picture = segmentation_picture(frame.rgb, perceived.segmentation, perceived.rejected, patches)
     write_picture(options.out, picture)
-    masks = int(perceived.segmentation.instances.max(initial=0))
+    masks, floor_z_m = int(perceived.segmentation.instances.max(initial=0)), perceived.segmentation.floor_z_m
     if options.json:
         report: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
+        report["floor_below_m"] = None if floor_z_m is None else -floor_z_m
         report["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
         print(output("segment", report))
     else:
+        counts = f"{masks} masks, {len(perceived.observations)} objects, {len(perceived.rejected)} rejected"
         print(
-            f"{options.out}: {masks} masks, {len(perceived.observations)} objects, {len(perceived.rejected)} rejected"
+            f"{options.out}: {counts}" + ("" if floor_z_m is None else f", floor {-floor_z_m:.2f} m below the camera")
         )
+        if floor_z_m is None:
+            sys.stderr.write(f"note: {_NO_FLOOR}\n")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -127,12 +128,24 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
     return "\n".join([*lines, *notes])
 
 
-def _place_text(a_from_b: NDArray[np.float64]) -> str:
+def named_maps(reason: str, a: str, b: str) -> str:
+    """Return a reason with names for `map a` and `map b`."""
+    return re.sub(r"\bmap ([ab])\b", lambda found: {"a": a, "b": b}[found[1]], reason)
+
+
+def pose_text(a_from_b: NDArray[np.float64]) -> tuple[str, str]:
+    """Return the position and the turn about the vertical as text."""
     import numpy as np
 
-    yaw_deg = np.degrees(np.arctan2(a_from_b[1, 0], a_from_b[0, 0]))
-    x, y, z = a_from_b[:3, 3]
-    return f"b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by {yaw_deg:.2f} deg"
+    # Rounded first: 0.0 added to a rounded -0.0 has no sign.
+    x, y, z = np.round(a_from_b[:3, 3], 3) + 0.0
+    yaw_deg = np.round(np.degrees(np.arctan2(a_from_b[1, 0], a_from_b[0, 0])), 2) + 0.0
+    return f"({x:.3f}, {y:.3f}, {z:.3f}) m", f"turned by {yaw_deg:.2f} deg"
+
+
+def _place_text(a_from_b: NDArray[np.float64]) -> str:
+    at, turned = pose_text(a_from_b)
+    return f"b lies at {at} in a, {turned}"
 
 
 def _rival_text(rival: Rival) -> str:

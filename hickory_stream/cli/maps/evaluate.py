@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,13 +20,15 @@ if TYPE_CHECKING:
 def add(commands: Commands) -> None:
     evaluate = commands.add("evaluate", run)
     evaluate.add_argument("map", type=Path, metavar="MAP", nargs="?")
-    evaluate.add_argument("--truth", type=Path, metavar="DIR", help="truth folder of the log")
+    evaluate.add_argument(
+        "--truth", type=Path, metavar="DIR|FILE", help="truth folder of the log, or boxes labelled by hand"
+    )
     evaluate.add_argument("--explain", action="store_true", help="define every figure")
     add_output(evaluate, "--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
 
 
 def run(options: argparse.Namespace) -> int:
-    from hickory_stream.evaluation.explain import DEFINITIONS, as_json, format_evaluation
+    from hickory_stream.evaluation.explain import DEFINITIONS, format_evaluation
 
     if options.explain:
         print(output("evaluate-explain", {"definitions": DEFINITIONS}) if options.json else DEFINITIONS)
@@ -34,14 +38,35 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("evaluate needs a MAP and --truth DIR, or --explain alone")
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.evaluation.evaluate import evaluate
-    from hickory_stream.evaluation.truth import load_truth
+    from hickory_stream.evaluation.labels import LABELS_FILE
+    from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 
-    saved, truth = open_map_at(options.map), load_truth(options.truth)
+    folder: Path = options.truth.parent if options.truth.name == TRUTH_FILE else options.truth
+    if folder.is_file() or ((folder / LABELS_FILE).is_file() and not (folder / TRUTH_FILE).is_file()):
+        return _labels(options)
+    saved, truth = open_map_at(options.map), load_truth(folder)
     evaluation = evaluate(saved, truth)
     if options.html is not None:
         from hickory_stream.evaluation.page import write_page
 
         with disk_refusals(options.html, "page"):
             write_page(options.html, saved, truth, evaluation)
-    print(output("evaluate", as_json(evaluation), indent=1) if options.json else format_evaluation(evaluation))
+    print(output("evaluate", asdict(evaluation), indent=1) if options.json else format_evaluation(evaluation))
+    return 0
+
+
+def _labels(options: argparse.Namespace) -> int:
+    from hickory_stream.cli.option_values import open_map_at
+    from hickory_stream.evaluation.explain import format_labels
+    from hickory_stream.evaluation.labels import load_labels, score_labels
+    from hickory_stream.evaluation.match import meshes_of
+
+    if options.html is not None:
+        raise InputError("found --html with labelled boxes, expected a truth folder: boxes have no surfaces to show")
+    labels = load_labels(options.truth)
+    saved = open_map_at(options.map)
+    score = score_labels(saved.snapshot, meshes_of(saved), labels)
+    if score.num_objects and len(score.stray_ids) == score.num_objects:
+        sys.stderr.write("note: no object lies on a label; labels must be in the world of the poses that were played\n")
+    print(output("evaluate-labels", asdict(score), indent=1) if options.json else format_labels(score))
     return 0

@@ -19,6 +19,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    from hickory_stream.cli.maps.align import named_maps
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
     from hickory_stream.map_folder.saved_map import check_unaltered
@@ -27,7 +28,10 @@ def run(options: argparse.Namespace) -> int:
     paths: list[Path] = options.maps
     if len(paths) < 2:
         raise InputError(f"found {len(paths)} map, expected at least two: merge A B [C ...] -o MAP")
-    if options.out.resolve() in [path.resolve() for path in paths]:
+    resolved = [path.resolve() for path in paths]
+    if twice := next((path for path, at in zip(paths, resolved, strict=True) if resolved.count(at) > 1), None):
+        raise InputError(f"{twice} is given twice, expected different maps")
+    if options.out.resolve() in resolved:
         raise InputError(f"-o {options.out} is one of the inputs; choose another folder")
     inputs = [open_map_at(path, warns=False) for path in paths]
     for saved in inputs:
@@ -45,7 +49,12 @@ def run(options: argparse.Namespace) -> int:
         progress=lambda a, b: tell(f"aligning {paths[a]} and {paths[b]}"),
     )
     outcomes = [
-        {"a": str(paths[pair.a]), "b": str(paths[pair.b]), "believed": pair.is_believed, "outcome": outcome_text(pair)}
+        {
+            "a": str(paths[pair.a]),
+            "b": str(paths[pair.b]),
+            "believed": pair.is_believed,
+            "outcome": named_maps(outcome_text(pair), str(paths[pair.a]), str(paths[pair.b])),
+        }
         for pair in merged.pairs
     ]
     left_out = [str(paths[i]) for i in merged.left_out]
@@ -66,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")
-        for path in left_out:
+        for path in left_out if is_any else ():
             print(f"{path} was left out: it aligns with none of the merged maps")
         print(f"{options.out}: {result['objects']} objects, {result['united']} of them in several maps" if is_any else
               "nothing was merged")  # fmt: skip

@@ -68,7 +68,7 @@ def add(commands: Commands) -> None:
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the robot and its grid."""
-    parser.add_argument("--robot", metavar="NAME|FILE", help="robot: jackal, b2, point, or a TOML file")
+    parser.add_argument("--robot", metavar="NAME|FILE", help="robot: jackal, spot, turtlebot4, ..., or a TOML file")
     parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="side of a cell, default 0.033 m")
     parser.add_argument(
         "--unknown", choices=("blocked", "free"), default="blocked", help="treatment of unobserved space (blocked)"

@@ -40,10 +40,15 @@ def run(options: argparse.Namespace) -> int:
     source = open_source(options.source, source_options(options))
     start_ns = source.info.start_ns
 
+    state: object = None
+
     def report(located: Located) -> None:
+        nonlocal state
         if options.json:
             print(output("relocalise", _as_json(located)), flush=True)
-        else:
+            return
+        before, state = state, (getattr(located.answer, "refusal", None), located.is_confirmed, located.has_jumped)
+        if state != before:
             sys.stderr.write(f"{_as_text(located, start_ns)}\n")
 
     try:
@@ -54,7 +59,8 @@ def run(options: argparse.Namespace) -> int:
         source.close()
     is_found = last is not None and last.is_confirmed
     if not options.json:
-        print(_as_text(last, start_ns) if last is not None and is_found else "not found in the map")
+        reason = "the log gave no keyframe" if last is None else _state_of(last)
+        print(_as_text(last, start_ns) if last is not None and is_found else f"not found in the map: {reason}")
     return 0 if is_found else NO_ALIGNMENT
 
 
@@ -79,18 +85,25 @@ def _as_json(located: Located) -> dict[str, Any]:
 
 
 def _as_text(located: Located, start_ns: int | None) -> str:
-    import numpy as np
-
     from hickory_stream.alignment.answer import Alignment, count_text
+    from hickory_stream.cli.maps.align import pose_text
 
-    when = f"{(located.stamp_ns - (start_ns or 0)) / 1e9:.1f} s, {located.num_objects} objects"
-    answer = located.answer
+    answer, when = located.answer, f"{(located.stamp_ns - (start_ns or 0)) / 1e9:.1f} s, {located.num_objects} objects"
     if not isinstance(answer, Alignment):
-        return f"{when}: searching ({answer.refusal.value})"
-    x, y, z = answer.a_from_b[:3, 3]
-    yaw_deg = np.degrees(np.arctan2(answer.a_from_b[1, 0], answer.a_from_b[0, 0]))
-    state = "confirmed" if located.is_confirmed else "differs from before" if located.has_jumped else "first answer"
+        return f"{when}: searching, {_state_of(located)}"
+    at, turned = pose_text(answer.a_from_b)
     return (
-        f"{when}: the log starts at ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {yaw_deg:.2f} deg; "
-        f"{len(answer.pairs)} pairs, {count_text(answer.log10_chance)} such sets expected by chance, {state}"
+        f"{when}: the log starts at {at}, {turned}; {len(answer.pairs)} pairs, "
+        f"{count_text(answer.log10_chance)} such sets expected by chance, {_state_of(located)}"
     )
+
+
+def _state_of(located: Located) -> str:
+    from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.cli.maps.align import named_maps
+
+    if isinstance(located.answer, NoAlignment):
+        return named_maps(located.answer.reason, "the map", "the log so far")
+    if located.is_confirmed:
+        return "confirmed"
+    return "differs from the answer before" if located.has_jumped else "first answer, not confirmed"

@@ -43,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
     ]
     for step in steps:
         chosen = options.parser.parse_args(step)
+        chosen.suggests = False
         status: int = chosen.run(chosen)
         if status:
             return status

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 DEFAULTS: dict[str, Any] = {"fleet": None, "resume": False, "every": None, "processes": None, "most_s": None}
 """Defaults of `fleet` options that `play` lacks."""
 
+_SUMMED = ("frames", "keyframes", "objects", "open_shapes")
+
 
 def add(commands: Commands) -> None:
     fleet = commands.add("fleet", run, configured=True)
@@ -109,22 +111,19 @@ class _Watcher:
             sys.stderr.writelines(f"{name}: {line}\n" for line in lines)
 
     def moved(self, name: str, progress: Progress) -> None:
-        from hickory_stream.engine.modes import Progress as Sum
+        from dataclasses import replace
 
         self._at[name] = progress
         known = [self._at[name] for name in self._names if name in self._at]
         totals = [one.total for one in known]
         is_known = len(known) == len(self._names) and None not in totals
+        phases = {one.phase for one in known}
         self._printer(
-            Sum(
-                phase=progress.phase if progress.phase == "compiling" else "playing",
-                frames=sum(one.frames for one in known),
+            replace(
+                progress,
+                phase=progress.phase if len(phases) == 1 or progress.phase == "compiling" else "playing",
                 total=sum(total for total in totals if total is not None) if is_known else None,
-                keyframes=sum(one.keyframes for one in known),
-                objects=sum(one.objects for one in known),
-                open_shapes=sum(one.open_shapes for one in known),
-                num_compiled=progress.num_compiled,
-                num_kernels=progress.num_kernels,
+                **{name: sum(getattr(one, name) for one in known) for name in _SUMMED},
             )
         )
 

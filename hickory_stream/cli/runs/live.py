@@ -65,7 +65,7 @@ def add(commands: Commands) -> None:
     )
     live.add_argument("--publish-only", metavar="PARTS", help="publish only these parts, e.g. costmap,plan")
     live.add_argument(
-        "--publish-robot", metavar="NAME|FILE", help="robot of --publish: jackal, b2, point, or a TOML file"
+        "--publish-robot", metavar="NAME|FILE", help="robot of --publish: jackal, spot, turtlebot4, ..., or a TOML file"
     )
     add_run_options(live)
     add_source_options(live)

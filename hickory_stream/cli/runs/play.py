@@ -109,7 +109,7 @@ def add(commands: Commands) -> None:
     )
     play.add_argument("--out", type=Path, metavar="MAP", help="map folder to write (default: NAME.map)")
     play.add_argument("--overwrite", action="store_true", help="replace an existing map and files")
-    play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
+    play.add_argument("--rate", default="max", help="max (default): full speed; or a factor of real time, e.g. 1.0")
     play.add_argument(
         "--live",
         action="store_true",

@@ -42,7 +42,7 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
 
     `num_recent` keyframes are remembered beside the anchors. Raises `MapFolderError`: the journal is damaged.
     """
-    events = ((i, event) for i in _way_to(journal, num_steps) for event in journal.events(i, "KeyframeRegistered"))
+    events = ((i, event) for i in steps_behind(journal, num_steps) for event in journal.events(i, "KeyframeRegistered"))
     found = [(i, event) for i, event in events if isinstance(event, KeyframeRegistered)]
     if not found:
         return None
@@ -59,8 +59,8 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
     return RegistrationHistory(last=found[-1][1], num_placed=len(found), remembered=tuple(remembered))
 
 
-def _way_to(journal: Journal, num_steps: int) -> list[int]:
-    # Steps that led to the state after `num_steps`, without those that a seek went back from.
+def steps_behind(journal: Journal, num_steps: int) -> list[int]:
+    """Return the steps that led to the state after `num_steps`, without those that a seek went back from."""
     way = []
     index = num_steps - 1
     while index >= 0:

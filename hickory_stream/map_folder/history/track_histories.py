@@ -80,12 +80,8 @@ class TrackHistories:
 
     def final(self, track_id: int) -> int | None:
         """Return the track of the map that a track is, or was merged into; None if that was dropped."""
-        seen = set()
-        history = self.by_id.get(track_id)
-        while history is not None and history.ending is not None and history.id not in seen:
-            seen.add(history.id)
-            history = self.by_id.get(history.ending.into) if history.ending.into is not None else None
-        return None if history is None else history.id
+        last = self.last(track_id)
+        return last.id if last is not None and last.ending is None else None
 
     def last(self, track_id: int) -> TrackHistory | None:
         """Return the history of a track, or of the last one that it was merged into, dropped or not."""

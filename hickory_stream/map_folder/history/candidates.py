@@ -1,0 +1,75 @@
+"""What became of the candidates of a run: every track that it began is in the map, was merged, or was dropped."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import StepKind
+from hickory_stream.map_folder.history.registration_history import steps_behind
+from hickory_stream.map_folder.history.track_histories import TrackHistories
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from pathlib import Path
+
+_PLAIN = {
+    "never confirmed": "seen too seldom, or from one side only",
+    "looked through": "later frames show free space there",
+    "structure": "part of a floor, a wall or a ceiling",
+    "in structure": "a piece of a wall or of furniture as large",
+}
+_CAUSES_LISTED = 3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Candidates:
+    """Numbers of candidates; `made` is the sum of `kept`, `merged` and `dropped`, `causes` has the commonest first."""
+
+    made: int
+    kept: int
+    merged: int
+    dropped: int
+    causes: dict[str, int]
+
+    def text(self) -> str:
+        """Return one line."""
+        listed = [
+            f"{number} {_PLAIN.get(cause, cause)}" for cause, number in list(self.causes.items())[:_CAUSES_LISTED]
+        ]
+        dropped = f"{self.dropped} dropped ({'; '.join(listed)})" if self.dropped else "none dropped"
+        return f"{self.made} candidates became {self.kept} objects: {self.merged} merged as parts of others, {dropped}"
+
+
+def candidates_of(path: Path, object_ids: Collection[int]) -> Candidates | None:
+    """Return what became of the candidates of a map folder's run, of which `object_ids` are in the map.
+
+    None without a journal that holds its decisions. A stopped run may still track parts of the room: they are dropped.
+    """
+    histories = TrackHistories()
+    try:
+        with Journal(path) as journal:
+            for index in steps_behind(journal, len(journal)):
+                told = journal.told(index)
+                if told is not None:
+                    histories.add(index, told.decisions)
+                elif journal.step(index).kind is StepKind.KEYFRAME:
+                    return None
+    except MapFolderError:
+        return None
+    gone = [history.ending for history in histories.by_id.values() if history.id not in object_ids]
+    causes = Counter(
+        "structure" if ending is None or ending.cause is None else ending.cause
+        for ending in gone
+        if ending is None or ending.kind == "dropped"
+    )
+    return Candidates(
+        made=len(histories.by_id),
+        kept=len(histories.by_id) - len(gone),
+        merged=len(gone) - causes.total(),
+        dropped=causes.total(),
+        causes=dict(causes.most_common()),
+    )
