@@ -5,7 +5,8 @@
     |   |-- ConfigError             a key, a value or a file of the configuration
     |   |   `-- RangeError          a number outside of its range
     |   |-- RecordingError          a log that cannot be read or mapped
-    |   |   `-- NoPosesError        a log without poses, for odometry
+    |   |   |-- NoPosesError        a log without poses, for odometry
+    |   |   `-- EmptyMapError       a log of which nothing could be mapped; exit status 3
     |   |-- CalibrationError        missing intrinsics or extrinsics, or a contradiction to the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
@@ -47,6 +48,12 @@ class RecordingError(InputError):
 
 class NoPosesError(RecordingError):
     """A log without poses; odometry can estimate them."""
+
+
+class EmptyMapError(RecordingError):
+    """A log that was read to its end, and of which nothing could be mapped."""
+
+    exit_status = 3
 
 
 class CalibrationError(InputError):
