@@ -1,4 +1,4 @@
-"""Image folders as a source, for all layouts of `folder_layouts`.
+"""Image folders as a source, for all layouts of the table.
 
 Files are found and paired on opening; colour is read when a frame is reached, depth when it is decoded.
 Frames are those of the colour camera, and the poses are its poses.
