@@ -1,14 +1,15 @@
 """Collection of an image folder's frames: pairs of files, their poses turned upright, and counts of the rest.
 
 The world is z up. `gravity-direction.txt` (the unit vector down) turns the log's world upright.
-Without one, the layout says which axis of the log is up; by default z.
+Without one, a layout's z axis is up, or the layout leaves it to level surfaces in the first images.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,29 +17,46 @@ from numpy.typing import NDArray
 
 from hickory_stream.errors import NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
+from hickory_stream.poses.depth_scan import scan_of_depth
+from hickory_stream.poses.upright import up_in
 from players.logs.layouts import folder_text
-from players.logs.layouts.folder import FolderContent, FolderFrame, FolderSource
+from players.logs.layouts.folder import FolderContent, FolderFrame, FolderSource, FolderView, decoded
+from players.logs.synchronizer import Leftover, Stamped, pair_nearest
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import compressed_size
 from players.options import NO_TOPIC, SourceOptions
+from players.poses.interpolation import world_from_down
 from players.profile import Intrinsics, Profile
 
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
+# The images that are searched for level surfaces, and the angle within which an axis of the log is taken for up.
+_LEVEL_IMAGES, _AXIS_COSINE = 5, np.cos(np.radians(4.0))
+
+Pose = NDArray[np.float64] | None
 
 
 class FrameCollector:
     """Sorts image files into frames and counts the rest by reason."""
 
-    def __init__(self, folder: Path, profile: Profile, options: SourceOptions) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        profile: Profile,
+        options: SourceOptions,
+        *,
+        color_from_depth: NDArray[np.float64] | None = None,
+        rough_up: tuple[float, float, float] | None = None,
+    ) -> None:
+        """`rough_up` is up in the camera within 50 degrees, if level surfaces have to tell; None: the log is z up."""
         self._folder = folder
         self._estimates_poses = options.estimates_poses
         self._ignores_poses = options.pose_topic == NO_TOPIC
-        self._world_from_log = folder_text.read_world_from_log(folder)
-        self._up = folder_text.GRAVITY if (folder / folder_text.GRAVITY).is_file() else "z of the log"
-        self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
+        self._rough_up = rough_up
+        shift = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
+        self._color_from_depth = shift if color_from_depth is None else color_from_depth
         self._depth_from_color = invert(self._color_from_depth)
         self._profile = profile
-        self._frames: list[FolderFrame] = []
+        self._found: list[tuple[int, Path, Path, Pose, FolderView | None]] = []
         self._fates: Counter[str] = Counter()
         self._unposed_ns: list[int] = []
 
@@ -48,17 +66,51 @@ class FrameCollector:
         return f"number in the name / {self._profile.frame_rate_hz} Hz"
 
     def add_numbered(
-        self, colors: Mapping[int, Path], depths: Mapping[int, Path], poses: Mapping[int, NDArray[np.float64] | None]
+        self,
+        colors: Mapping[int, Path],
+        depths: Mapping[int, Path],
+        poses: Mapping[int, Pose],
+        views: Mapping[int, FolderView] | None = None,
     ) -> None:
         """Add images by number; a stamp is the number divided by the profile's frame rate."""
         for number in sorted(colors.keys() | depths.keys()):
             stamp_ns = number * 1_000_000_000 // self._profile.frame_rate_hz
-            self.add(stamp_ns, colors.get(number), depths.get(number), poses.get(number))
+            view = None if views is None else views.get(number)
+            if views is not None and view is None:
+                self._fates["no_intrinsics"] += 1
+            else:
+                self.add(stamp_ns, colors.get(number), depths.get(number), poses.get(number), view)
+
+    def add_stamped(
+        self,
+        colors: Sequence[tuple[int, Path]],
+        depths: Sequence[tuple[int, Path]],
+        tolerance_ns: int,
+        pose_at: Callable[[int], Pose],
+        view_at: Callable[[int], FolderView | None] = lambda stamp_ns: None,
+    ) -> None:
+        """Add images by stamp: colour with the nearest depth within the tolerance, at the stamp of the colour."""
+        stamped = [Stamped("color", *row) for row in colors] + [Stamped("depth", *row) for row in depths]
+        for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
+            if isinstance(match, Leftover):
+                is_color = match.stream == "color"
+                self.add(match.stamp_ns, match.item if is_color else None, None if is_color else match.item, None)
+            else:
+                stamp_ns = match.stamp_ns
+                self.add(stamp_ns, match.color, match.depth, pose_at(stamp_ns), view_at(stamp_ns))
 
     def add(
-        self, stamp_ns: int, color: Path | None, depth: Path | None, log_from_depth: NDArray[np.float64] | None
+        self,
+        stamp_ns: int,
+        color: Path | None,
+        depth: Path | None,
+        log_from_depth: Pose,
+        view: FolderView | None = None,
     ) -> None:
-        """Add a pair of files with the depth camera's pose, or count why it is no frame."""
+        """Add a pair of files with the depth camera's pose, or count why it is no frame.
+
+        `view` replaces the calibration of all frames.
+        """
         if color is None or not color.is_file():
             self._fates["depth_without_color"] += 1
         elif depth is None or not depth.is_file():
@@ -67,45 +119,88 @@ class FrameCollector:
             self._fates["no_pose"] += 1
             self._unposed_ns.append(stamp_ns)
         else:
-            world_from_camera = None
-            if log_from_depth is not None and not self._ignores_poses:
-                world_from_camera = compose(self._world_from_log, log_from_depth, self._depth_from_color)
-            self._frames.append(
-                FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=world_from_camera)
-            )
+            self._found.append((stamp_ns, color, depth, None if self._ignores_poses else log_from_depth, view))
 
     def source(
         self,
         *,
         kind: str,
-        depth_intrinsics: Intrinsics,
+        depth_intrinsics: Intrinsics | None,
         streams: dict[str, str],
-        text_files: list[Path],
+        text_files: Sequence[Path],
         color_intrinsics: Intrinsics | None = None,
         depth_units_per_m: float | None = None,
         pose_span_ns: tuple[int, int] | None = None,
     ) -> FolderSource:
-        """Return the source of all frames. Raises `RecordingError`: there are none, or an image has no size."""
-        if not self._frames:
+        """Return the source of all frames; without `depth_intrinsics` every frame has a view.
+
+        Raises `RecordingError`: there are no frames, or an image has no size.
+        """
+        if not self._found:
             error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
-        first = self._frames[0]
-        registration = Registration(
-            depth_camera=depth_intrinsics.camera(_size_of(first.depth)),
-            color_camera=(color_intrinsics or depth_intrinsics).camera(_size_of(first.color)),
-            color_from_depth=self._color_from_depth,
-        )
+        usual = None
+        if depth_intrinsics is not None:
+            usual = self.view(
+                depth_intrinsics,
+                color_intrinsics,
+                self._found[0][1:3],
+                depth_units_per_m or self._profile.depth_units_per_m,
+            )
+        frames = []
+        for stamp_ns, color, depth, pose, own in self._found:
+            view = own or usual
+            assert view is not None
+            frames.append(FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=pose, view=view))
+        world_from_log, up = self._upright(frames)
         content = FolderContent(
             kind=kind,
-            registration=registration,
-            depth_units_per_m=depth_units_per_m or self._profile.depth_units_per_m,
             sensor=self._profile.sensor,
-            frames=tuple(self._frames),
+            frames=tuple(
+                replace(frame, world_from_camera=compose(world_from_log, pose, self._depth_from_color))
+                if (pose := frame.world_from_camera) is not None
+                else frame
+                for frame in frames
+            ),
+            world_from_log=world_from_log,
             fates=dict(self._fates),
-            streams=(*streams.items(), ("up", self._up)),
+            streams=(*streams.items(), ("up", up)),
             text_files=tuple(text_files),
         )
         return FolderSource(self._folder, content)
+
+    def view(
+        self, depth: Intrinsics, color: Intrinsics | None, files: tuple[Path, Path], depth_units_per_m: float
+    ) -> FolderView:
+        """Return the calibration of images of the sizes of two `files` (colour, depth), without distortion."""
+        registration = Registration(
+            depth_camera=depth.camera(size_of(files[1])),
+            color_camera=(color or depth).camera(size_of(files[0])),
+            color_from_depth=self._color_from_depth,
+        )
+        return FolderView(registration=registration, depth_units_per_m=depth_units_per_m)
+
+    def _upright(self, frames: Sequence[FolderFrame]) -> tuple[NDArray[np.float64], str]:
+        # The rotation (4, 4) from the log's world to the upright one, and its origin in words.
+        if (self._folder / folder_text.GRAVITY).is_file():
+            return folder_text.read_world_from_log(self._folder), folder_text.GRAVITY
+        posed = [frame for frame in frames if frame.world_from_camera is not None]
+        if self._rough_up is None or not posed:
+            return np.eye(4), "z of the log"
+        rough_up = np.array(self._rough_up)
+        for frame in posed[:: max(1, len(posed) // _LEVEL_IMAGES)]:
+            try:
+                up = up_in(scan_of_depth(decoded(frame, self._profile.sensor)), rough_up)
+            except RecordingError:
+                continue
+            if up is not None:
+                up = frame.pose[:3, :3] @ self._depth_from_color[:3, :3] @ up
+                axis = int(np.abs(up).argmax())
+                if abs(up[axis]) > _AXIS_COSINE:
+                    sign, up = np.sign(up[axis]), np.eye(3)[axis] * np.sign(up[axis])
+                    return world_from_down(-up), f"{'-' if sign < 0 else ''}{'xyz'[axis]} of the log, by level surfaces"
+                return world_from_down(-up), f"level surfaces of {frame.depth.name}"
+        return world_from_down(-posed[0].pose[:3, :3] @ rough_up), "the first image, without a level surface in view"
 
     def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
         if self._unposed_ns and pose_span_ns is not None:
@@ -133,8 +228,13 @@ def color_files(folder: Path, pattern: str = "*") -> dict[int, Path]:
     return by_number(file for file in folder.glob(pattern) if file.suffix in _COLOR_SUFFIXES)
 
 
-def _size_of(file: Path) -> tuple[int, int]:
-    size = compressed_size(file.read_bytes()[: 1 << 16])
+def size_of(file: Path) -> tuple[int, int]:
+    """Return (width, height) of an image. Raises `RecordingError`: it cannot be read, or is neither JPEG nor PNG."""
+    try:
+        with file.open("rb") as stream:
+            size = compressed_size(stream.read(1 << 16))
+    except OSError as error:
+        raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
     if size is None:
         raise RecordingError(f"{file} is neither JPEG nor PNG, or is torn")
     return size

@@ -8,7 +8,7 @@ from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from players.logs.layouts import folder_text
 from players.logs.layouts.folder import FolderSource
 from players.logs.layouts.frame_collector import FrameCollector, by_number, color_files
-from players.logs.synchronizer import Leftover, Stamped, default_tolerance_ns, pair_nearest
+from players.logs.synchronizer import default_tolerance_ns
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.profile import load_profile
 
@@ -79,14 +79,7 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     if has_poses:
         track = folder_text.read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
     found = FrameCollector(folder, profile, options)
-    stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
-    for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
-        if isinstance(match, Leftover):
-            is_color = match.stream == "color"
-            found.add(match.stamp_ns, match.item if is_color else None, None if is_color else match.item, None)
-        else:
-            pose = track.at(match.stamp_ns) if track is not None else None
-            found.add(match.stamp_ns, match.color, match.depth, pose)
+    found.add_stamped(images["rgb"], images["depth"], tolerance_ns, track.at if track is not None else lambda ns: None)
     return found.source(
         kind="TUM RGB-D folder",
         depth_intrinsics=intrinsics,
