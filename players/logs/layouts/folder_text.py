@@ -26,7 +26,7 @@ def expecting(file: Path, expected: str, error: type[InputError] = RecordingErro
     """Turn whatever a malformed value raises into an error with the file, the value and what was expected."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError) as cause:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as cause:
         raise error(f"{file}: {cause!r:.200}; expected {expected}") from cause
 
 
@@ -65,8 +65,8 @@ def read_intrinsics(file: Path) -> Intrinsics:
 
 def intrinsics_of(numbers: Any) -> Intrinsics:
     """Return the intrinsics of a 3x3 or 4x4 matrix K, or of its numbers by rows. Raises `ValueError`: it is none."""
-    k = np.asarray(numbers, dtype=np.float64).ravel()
-    k = k.reshape(3 if k.size == 9 else 4, -1)
+    flat = np.asarray(numbers, dtype=np.float64).ravel()
+    k = flat.reshape(3 if flat.size == 9 else 4, -1)
     return Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
 
 

@@ -32,7 +32,11 @@ _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 # The images that are searched for level surfaces, and the angle within which an axis of the log is taken for up.
 _LEVEL_IMAGES, _AXIS_COSINE = 5, np.cos(np.radians(4.0))
 
+_LEAST_UNITS_PER_M = 1e-3
+
 Pose = NDArray[np.float64] | None
+Sizes = tuple[tuple[int, int], tuple[int, int]]
+"""(width, height) of colour, and of depth."""
 
 
 class FrameCollector:
@@ -75,10 +79,10 @@ class FrameCollector:
         """Add images by number; a stamp is the number divided by the profile's frame rate."""
         for number in sorted(colors.keys() | depths.keys()):
             stamp_ns = number * 1_000_000_000 // self._profile.frame_rate_hz
-            view = None if views is None else views.get(number)
-            if views is not None and view is None:
+            if views is not None and number in colors and number in depths and number not in views:
                 self._fates["no_intrinsics"] += 1
             else:
+                view = None if views is None else views.get(number)
                 self.add(stamp_ns, colors.get(number), depths.get(number), poses.get(number), view)
 
     def add_stamped(
@@ -141,11 +145,9 @@ class FrameCollector:
             raise error(self._why_empty(pose_span_ns))
         usual = None
         if depth_intrinsics is not None:
+            sizes = sizes_of(found[1:3] for found in self._found)
             usual = self.view(
-                depth_intrinsics,
-                color_intrinsics,
-                self._found[0][1:3],
-                depth_units_per_m or self._profile.depth_units_per_m,
+                sizes, depth_units_per_m or self._profile.depth_units_per_m, depth_intrinsics, color_intrinsics
             )
         frames = []
         for stamp_ns, color, depth, pose, own in self._found:
@@ -170,12 +172,17 @@ class FrameCollector:
         return FolderSource(self._folder, content)
 
     def view(
-        self, depth: Intrinsics, color: Intrinsics | None, files: tuple[Path, Path], depth_units_per_m: float
+        self, sizes: Sizes, depth_units_per_m: float, depth: Intrinsics, color: Intrinsics | None = None
     ) -> FolderView:
-        """Return the calibration of images of the sizes of two `files` (colour, depth), without distortion."""
+        """Return a calibration without distortion; colour has by default the intrinsics of depth.
+
+        Raises `ValueError`: the unit of depth is none.
+        """
+        if not _LEAST_UNITS_PER_M <= depth_units_per_m <= 1 / _LEAST_UNITS_PER_M:
+            raise ValueError(f"{depth_units_per_m} units of depth in a metre")
         registration = Registration(
-            depth_camera=depth.camera(size_of(files[1])),
-            color_camera=(color or depth).camera(size_of(files[0])),
+            depth_camera=depth.camera(sizes[1]),
+            color_camera=(color or depth).camera(sizes[0]),
             color_from_depth=self._color_from_depth,
         )
         return FolderView(registration=registration, depth_units_per_m=depth_units_per_m)
@@ -228,8 +235,21 @@ def color_files(folder: Path, pattern: str = "*") -> dict[int, Path]:
     return by_number(file for file in folder.glob(pattern) if file.suffix in _COLOR_SUFFIXES)
 
 
-def size_of(file: Path) -> tuple[int, int]:
-    """Return (width, height) of an image. Raises `RecordingError`: it cannot be read, or is neither JPEG nor PNG."""
+def sizes_of(pairs: Iterable[tuple[Path, Path]]) -> Sizes:
+    """Return the sizes of the first pair of images (colour, depth) whose headers can be read.
+
+    Raises `RecordingError`: no image can be read, or is JPEG or PNG.
+    """
+    refusal = RecordingError("there are no images")
+    for color, depth in pairs:
+        try:
+            return _size_of(color), _size_of(depth)
+        except RecordingError as error:
+            refusal = error
+    raise refusal
+
+
+def _size_of(file: Path) -> tuple[int, int]:
     try:
         with file.open("rb") as stream:
             size = compressed_size(stream.read(1 << 16))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.ports import Source
-from players.logs.layouts import plain_folders
+from players.logs.layouts import bop, data_sets, plain_folders
 from players.options import SourceOptions
 
 
@@ -40,6 +40,9 @@ class Layout:
 
 
 _POSED = ("cam_params.json", "camera_poses.txt")
+_COLORS = "rgb/*.png|rgb/*.jpg"
+BOP, ARKIT_SCENES, SCANNET = "BOP", "ARKitScenes", "ScanNet"
+"""The layouts that may have annotations of objects."""
 
 LAYOUTS = (
     Layout(
@@ -47,6 +50,32 @@ LAYOUTS = (
         marks=("frame-*.color.*",),
         rest=("frame-*.depth.png", "frame-*.pose.txt", "camera-intrinsics.txt"),
         open=plain_folders.open_seven_scenes,
+    ),
+    Layout(
+        name="ICL-NUIM",
+        marks=("rgb", "depth", "*.gt.sim|*.gt.freiburg"),
+        rest=(_COLORS, "depth/*.png"),
+        open=data_sets.open_icl_nuim,
+    ),
+    Layout(
+        name=BOP,
+        marks=("scene_camera.json",),
+        rest=(f"{_COLORS}|gray/*.png", "depth/*.png"),
+        open=bop.open_bop,
+    ),
+    Layout(name="BOP data set", marks=("*/*/scene_camera.json",), rest=(), open=bop.refuse_data_set),
+    Layout(
+        name=ARKIT_SCENES,
+        marks=("lowres_depth|*_frames/lowres_depth", "lowres_wide|*_frames/lowres_wide"),
+        rest=("lowres_wide.traj|*_frames/lowres_wide.traj", "lowres_wide_intrinsics|*_frames/lowres_wide_intrinsics"),
+        open=data_sets.open_arkit_scenes,
+    ),
+    Layout(name="nerfstudio", marks=("transforms.json",), rest=(), open=data_sets.open_nerfstudio),
+    Layout(
+        name=SCANNET,
+        marks=("color", "depth", "pose|intrinsic"),
+        rest=("pose/*.txt", "intrinsic/intrinsic_color.txt", "intrinsic/intrinsic_depth.txt"),
+        open=data_sets.open_scannet,
     ),
     Layout(
         name="TUM RGB-D", marks=("rgb.txt",), rest=("depth.txt", "groundtruth.txt"), open=plain_folders.open_tum
@@ -66,6 +95,12 @@ LAYOUTS = (
     Layout(
         name="posed folder", marks=("|".join(_POSED),), rest=("rgb/*", "depth/*.png", *_POSED),
         open=plain_folders.open_posed_folder,
+    ),
+    Layout(
+        name="Open3D",
+        marks=("color|image|rgb", "depth", f"{data_sets.OPEN3D_LOGS}|*intrinsic*.json|camera_*.json"),
+        rest=("depth/*.png", data_sets.OPEN3D_LOGS),
+        open=data_sets.open_open3d,
     ),
 )  # fmt: skip
 
