@@ -37,14 +37,15 @@ def run(options: argparse.Namespace) -> int:
     if options.map is None or options.truth is None:
         raise InputError("evaluate needs a MAP and --truth DIR, or --explain alone")
     from hickory_stream.cli.option_values import open_map_at
+    from hickory_stream.evaluation.data_sets import open_truth
     from hickory_stream.evaluation.evaluate import evaluate
     from hickory_stream.evaluation.labels import LABELS_FILE
-    from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
+    from hickory_stream.evaluation.truth import TRUTH_FILE
 
     folder: Path = options.truth.parent if options.truth.name == TRUTH_FILE else options.truth
     if folder.is_file() or ((folder / LABELS_FILE).is_file() and not (folder / TRUTH_FILE).is_file()):
         return _labels(options)
-    saved, truth = open_map_at(options.map), load_truth(folder)
+    saved, truth = open_map_at(options.map), open_truth(folder)
     evaluation = evaluate(saved, truth)
     if options.html is not None:
         from hickory_stream.evaluation.page import write_page

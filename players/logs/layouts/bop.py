@@ -28,8 +28,8 @@ CAMERAS, OBJECTS = "scene_camera.json", "scene_gt.json"
 # Hypotheses of objects about a camera's pose must agree so well.
 _AGREE_M = 0.05
 
-ObjectPoses = list[tuple[int, NDArray[np.float64]]]
-"""The objects in one image: the id of each one's model, and camera_from_object (4, 4)."""
+ObjectPoses = list[tuple[int, Pose]]
+"""The objects in one image: the id of each one's model, and camera_from_object (4, 4), None if it is not rigid."""
 
 
 def open_bop(folder: Path, options: SourceOptions) -> FolderSource:
@@ -66,23 +66,23 @@ def open_bop(folder: Path, options: SourceOptions) -> FolderSource:
     )  # fmt: skip
 
 
-def refuse_data_set(folder: Path, options: SourceOptions) -> FolderSource:
-    """Raise `RecordingError`: a whole BOP data set is no log, but its scenes are."""
-    scenes = sorted(str(file.parent.relative_to(folder)) for file in folder.glob(f"*/*/{CAMERAS}"))
-    some = ", ".join(scenes[:4]) + (" ..." if len(scenes) > 4 else "")
+def open_bop_data_set(folder: Path, options: SourceOptions) -> FolderSource:
+    """Return the source of the only scene in a BOP data set. Raises `RecordingError`: it has several."""
+    scenes = sorted(file.parent for file in folder.glob(f"*/*/{CAMERAS}"))
+    if len(scenes) == 1:
+        return open_bop(scenes[0], options)
+    some = ", ".join(str(scene.relative_to(folder)) for scene in scenes[:4]) + (" ..." if len(scenes) > 4 else "")
     raise RecordingError(f"{folder} is a BOP data set of {len(scenes)} scenes; name one of them: {some}")
 
 
 def read_objects(scene: Path) -> dict[int, ObjectPoses]:
-    """Return the objects in each image of a scene; those whose pose is no rigid transform are left out.
-
-    Raises `RecordingError`: the file cannot be read.
-    """
+    """Return the objects in each image of a scene, in their order. Raises `RecordingError`: the file cannot be read."""
     found: dict[int, ObjectPoses] = {}
     for number, entries in _by_image(scene / OBJECTS).items():
         with expecting(scene / OBJECTS, f"obj_id, cam_R_m2c and cam_t_m2c of the objects in image {number}"):
-            poses = [(int(entry["obj_id"]), _rigid(entry["cam_R_m2c"], entry["cam_t_m2c"])) for entry in entries]
-        found[number] = [(model, pose) for model, pose in poses if pose is not None]
+            found[number] = [
+                (int(entry["obj_id"]), _rigid(entry["cam_R_m2c"], entry["cam_t_m2c"])) for entry in entries
+            ]
     return found
 
 
@@ -97,7 +97,8 @@ def poses_by_objects(objects: Mapping[int, ObjectPoses]) -> dict[int, Pose]:
         seen: Counter[int] = Counter()
         keyed = {}
         for model, camera_from_object in objects[number]:
-            keyed[model, seen[model]] = camera_from_object
+            if camera_from_object is not None:
+                keyed[model, seen[model]] = camera_from_object
             seen[model] += 1
         guesses = [
             compose(world_from_object[key], invert(pose)) for key, pose in keyed.items() if key in world_from_object

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.ranges import Range
 from hickory_stream.errors import NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from hickory_stream.poses.depth_scan import scan_of_depth
@@ -32,7 +33,7 @@ _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 # The images that are searched for level surfaces, and the angle within which an axis of the log is taken for up.
 _LEVEL_IMAGES, _AXIS_COSINE = 5, np.cos(np.radians(4.0))
 
-_LEAST_UNITS_PER_M = 1e-3
+_UNITS = Range(low=1e-3, high=1e9, unit="units in a metre")
 
 Pose = NDArray[np.float64] | None
 Sizes = tuple[tuple[int, int], tuple[int, int]]
@@ -176,10 +177,9 @@ class FrameCollector:
     ) -> FolderView:
         """Return a calibration without distortion; colour has by default the intrinsics of depth.
 
-        Raises `ValueError`: the unit of depth is none.
+        Raises `RangeError`: the unit of depth is none.
         """
-        if not _LEAST_UNITS_PER_M <= depth_units_per_m <= 1 / _LEAST_UNITS_PER_M:
-            raise ValueError(f"{depth_units_per_m} units of depth in a metre")
+        _UNITS.check("depth", depth_units_per_m)
         registration = Registration(
             depth_camera=depth.camera(sizes[1]),
             color_camera=(color or depth).camera(sizes[0]),

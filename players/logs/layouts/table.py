@@ -63,7 +63,7 @@ LAYOUTS = (
         rest=(f"{_COLORS}|gray/*.png", "depth/*.png"),
         open=bop.open_bop,
     ),
-    Layout(name="BOP data set", marks=("*/*/scene_camera.json",), rest=(), open=bop.refuse_data_set),
+    Layout(name="BOP data set", marks=("*/*/scene_camera.json",), rest=(), open=bop.open_bop_data_set),
     Layout(
         name=ARKIT_SCENES,
         marks=("lowres_depth|*_frames/lowres_depth", "lowres_wide|*_frames/lowres_wide"),
