@@ -32,12 +32,13 @@ from players.logs.layouts.bop import OBJECTS, read_objects
 from players.logs.layouts.folder import FolderFrame, FolderSource, decoded
 from players.logs.layouts.folder_text import expecting, read_text
 from players.logs.layouts.frame_collector import by_number
-from players.logs.layouts.table import BOP, SCANNET, layout_of
+from players.logs.layouts.table import layout_of
 from players.options import SourceOptions
 
 _MODELS = ("models_eval", "models", "models_cad", "models_reconst")
 _SAME_OBJECT_M = 0.1
-_AGREE_M = 0.05
+# What is nearer by so much than an object hides it: depth is noisy.
+_HIDDEN_M, _HIDDEN_SHARE = 0.05, 0.03
 _STRUCTURE = ("wall", "floor", "ceiling")
 
 
@@ -46,9 +47,10 @@ def open_truth(folder: Path) -> Truth:
     if (folder / TRUTH_FILE).exists() or not folder.is_dir() or (layout := layout_of(folder)) is None:
         return load_truth(folder)
     source = layout.open(folder, SourceOptions(odometry="topic"))
-    if layout.name not in (BOP, SCANNET) or not isinstance(source, FolderSource):
-        raise RecordingError(f"{folder} is of the layout {layout.name}, whose annotations of objects are not known")
-    truth = (_bop if layout.name == BOP else _scannet)(Path(source.info.uri), source)
+    read = {"BOP scene": _bop, "ScanNet folder": _scannet}.get(source.info.kind)
+    if read is None or not isinstance(source, FolderSource):
+        raise RecordingError(f"{folder} is a {source.info.kind}, whose annotations of objects are not known")
+    truth = read(Path(source.info.uri), source)
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
     seen = seen_samples(truth, surfaces, structure_meshes(truth))
     objects = tuple(replace(item, seen_fraction=float(seen[item.id].mean())) for item in truth.objects)
@@ -198,7 +200,7 @@ def _truth(
 
 
 def _cast(scene: Scene, files: FolderFrame, source: FolderSource) -> NDArray[np.uint16]:
-    # The object of each pixel whose depth is that of the object's surface, 0 for none.
+    # The object of each pixel, 0 for none, or where something that is not annotated stands before it.
     frame = decoded(files, source.content.sensor)
     rays = backproject(np.ones(frame.depth_m.shape, dtype=np.float32), frame.camera).reshape(-1, 3)
     lengths = np.linalg.norm(rays, axis=1)
@@ -206,8 +208,8 @@ def _cast(scene: Scene, files: FolderFrame, source: FolderSource) -> NDArray[np.
     hits = scene.cast(np.broadcast_to(files.pose[:3, 3], directions.shape), directions)
     depth_m = (hits.distance_m / lengths).reshape(frame.depth_m.shape)
     with np.errstate(invalid="ignore"):
-        agrees = np.abs(depth_m - frame.depth_m) <= _AGREE_M
-    return np.where(agrees, hits.owners.reshape(depth_m.shape), 0).astype(np.uint16)
+        is_hidden = frame.depth_m < depth_m - _HIDDEN_M - _HIDDEN_SHARE * depth_m
+    return np.where(is_hidden, 0, hits.owners.reshape(depth_m.shape).clip(0)).astype(np.uint16)
 
 
 def _annotation(scene: Path, ending: str) -> Path:
@@ -235,7 +237,8 @@ def _read_ply(file: Path, units_per_m: float) -> Mesh:
         vertices, faces = np.asarray(found.vertices) / units_per_m, np.asarray(found.faces)
         if not (len(faces) and np.isfinite(vertices).all() and 0 <= faces.min() and faces.max() < len(vertices)):
             raise ValueError("no triangles")
-        colors = np.asarray(found.visual.to_color().vertex_colors)[:, :3]
+        # A model with a texture stays grey.
+        colors = np.asarray(getattr(found.visual, "vertex_colors", np.empty((0, 3))))[:, :3]
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError, EOFError) as error:
         raise RecordingError(f"{file} cannot be read as a mesh: {error!r:.200}") from error
     if colors.shape != vertices.shape:

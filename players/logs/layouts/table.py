@@ -41,8 +41,6 @@ class Layout:
 
 _POSED = ("cam_params.json", "camera_poses.txt")
 _COLORS = "rgb/*.png|rgb/*.jpg"
-BOP, ARKIT_SCENES, SCANNET = "BOP", "ARKitScenes", "ScanNet"
-"""The layouts that may have annotations of objects."""
 
 LAYOUTS = (
     Layout(
@@ -58,21 +56,21 @@ LAYOUTS = (
         open=data_sets.open_icl_nuim,
     ),
     Layout(
-        name=BOP,
+        name="BOP",
         marks=("scene_camera.json",),
         rest=(f"{_COLORS}|gray/*.png", "depth/*.png"),
         open=bop.open_bop,
     ),
     Layout(name="BOP data set", marks=("*/*/scene_camera.json",), rest=(), open=bop.open_bop_data_set),
     Layout(
-        name=ARKIT_SCENES,
+        name="ARKitScenes",
         marks=("lowres_depth|*_frames/lowres_depth", "lowres_wide|*_frames/lowres_wide"),
         rest=("lowres_wide.traj|*_frames/lowres_wide.traj", "lowres_wide_intrinsics|*_frames/lowres_wide_intrinsics"),
         open=data_sets.open_arkit_scenes,
     ),
     Layout(name="nerfstudio", marks=("transforms.json",), rest=(), open=data_sets.open_nerfstudio),
     Layout(
-        name=SCANNET,
+        name="ScanNet",
         marks=("color", "depth", "pose|intrinsic"),
         rest=("pose/*.txt", "intrinsic/intrinsic_color.txt", "intrinsic/intrinsic_depth.txt"),
         open=data_sets.open_scannet,
