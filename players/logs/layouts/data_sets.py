@@ -28,14 +28,17 @@ from players.logs.layouts.folder_text import (
     read_pose_file,
     read_stamped_rows,
     read_text,
+    rigid_of,
 )
 from players.logs.layouts.frame_collector import FrameCollector, Pose, Sizes, by_number, color_files, sizes_of
 from players.messages.calibration import Lens
 from players.options import DEFAULT_MAX_POSE_GAP_NS, SourceOptions
-from players.poses.interpolation import is_pose_row, nearest_rigid, pose_of_row, track_of
+from players.poses.interpolation import is_pose_row, pose_of_row, track_of
 from players.profile import Intrinsics, load_profile
 
 _ARKIT_TOLERANCE_NS = 5_000_000
+# So many images of ICL-NUIM may come before the first pose.
+_MOST_LATE = 2
 # ICL-NUIM's cameras and world are left-handed, y up, which its negative fy makes good for. Mirrored both, they are the
 # optical axes (y down), and a right-handed world with z up.
 _UPRIGHT_FROM_ICL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -43,22 +46,7 @@ _ICL_FROM_OPTICAL = np.diag([1.0, -1.0, 1.0, 1.0])
 # OpenGL's camera (y up, looking along -z), as nerfstudio has it.
 _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 _DISTORTIONS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
-_CALIBRATION = (
-    "camera_model",
-    "w",
-    "h",
-    "fl_x",
-    "fl_y",
-    "cx",
-    "cy",
-    "camera_angle_x",
-    "k1",
-    "k2",
-    "k3",
-    "k4",
-    "p1",
-    "p2",
-)
+_CALIBRATION = frozenset("camera_model w h fl_x fl_y cx cy camera_angle_x k1 k2 k3 k4 p1 p2".split())
 _PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV_FISHEYE")
 
 
@@ -77,10 +65,11 @@ def open_icl_nuim(folder: Path, options: SourceOptions) -> FolderSource:
     icl_from_camera: dict[int, Pose] = {}
     if file.suffix == ".sim":
         numbers = read_numbers(file)
-        rows = numbers[: numbers.size // 12 * 12].reshape(-1, 3, 4)
-        # The first images may lack poses.
-        late = max(0, len(colors) - len(rows))
-        icl_from_camera = {i: nearest_rigid(row) for i, row in zip(sorted(colors)[late:], rows, strict=False)}
+        late = max(0, max(colors, default=0) + 1 - numbers.size // 12)
+        if numbers.size % 12 or late > _MOST_LATE:
+            expected = f"expected 12 for each of {len(colors)} images"
+            raise RecordingError(f"{file} is torn: {numbers.size} numbers; {expected}")
+        icl_from_camera = {i: rigid_of(row) for i, row in enumerate(numbers.reshape(-1, 12), start=late)}
     else:
         with expecting(file, "rows of: number tx ty tz qx qy qz qw"):
             for stamp_ns, words in read_stamped_rows(file, 8):
@@ -169,7 +158,7 @@ def open_open3d(folder: Path, options: SourceOptions) -> FolderSource:
         values = read_numbers(log)
         for block in values[: values.size // 19 * 19].reshape(-1, 19):
             if block[0] in range(len(numbers)):
-                poses[numbers[int(block[0])]] = nearest_rigid(block[3:].reshape(4, 4))
+                poses[numbers[int(block[0])]] = rigid_of(block[3:])
     intrinsics, units_per_m = profile.color, profile.depth_units_per_m
     file = next(iter(sorted({*folder.glob("*intrinsic*.json"), *folder.glob("camera_*.json")})), None)
     if file is not None:
@@ -212,7 +201,7 @@ def open_nerfstudio(folder: Path, options: SourceOptions) -> FolderSource:
             ((folder / entry["file_path"], entry) for entry in table["frames"]), key=lambda pair: pair[0].name
         )
         depths = [folder / entry["depth_file_path"] if "depth_file_path" in entry else None for _, entry in entries]
-        matrices = [np.asarray(entry["transform_matrix"], dtype=np.float64).reshape(-1, 4)[:3] for _, entry in entries]
+        matrices = [np.asarray(entry["transform_matrix"], dtype=np.float64).ravel() for _, entry in entries]
     if not any(depths):
         raise RecordingError(f"{file}: no frame has a depth_file_path; depth is needed")
     numbered = by_number(color for color, _ in entries)
@@ -227,7 +216,7 @@ def open_nerfstudio(folder: Path, options: SourceOptions) -> FolderSource:
                 calibration = {name: value for name, value in {**table, **entry}.items() if name in _CALIBRATION}
                 key = json.dumps(calibration)
                 view = views[key] = views.get(key) or _nerfstudio_view(found, calibration, sizes, units_per_m)
-        rigid = nearest_rigid(matrix)
+        rigid = rigid_of(matrix)
         pose = None if rigid is None else compose(rigid, _GL_FROM_OPTICAL)
         found.add(numbers.get(color, i) * 1_000_000_000 // profile.frame_rate_hz, color, depth, pose, view)
     return found.source(

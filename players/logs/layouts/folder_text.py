@@ -110,7 +110,7 @@ def read_world_from_log(folder: Path) -> NDArray[np.float64]:
 
 def read_pose_file(file: Path) -> NDArray[np.float64] | None:
     """Return the pose of a file with a 4x4 or 3x4 matrix, None if it is invalid (NaN where tracking was lost)."""
-    return _rigid_of_row(read_numbers(file))
+    return rigid_of(read_numbers(file))
 
 
 def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArray[np.float64] | None]:
@@ -148,7 +148,7 @@ def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:
             raise RecordingError(
                 f"{file}, line {number}: {row.size} numbers; expected 16 or 12, world_from_camera by rows"
             )
-        poses.append(_rigid_of_row(row))
+        poses.append(rigid_of(row))
     return poses
 
 
@@ -190,5 +190,6 @@ def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
     return track
 
 
-def _rigid_of_row(row: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    return nearest_rigid(row.reshape(-1, 4)[:3]) if row.size in (12, 16) else None
+def rigid_of(numbers: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the transform (4, 4) of 16 or 12 numbers by rows, None if they are no rigid transform."""
+    return nearest_rigid(numbers.reshape(-1, 4)[:3]) if numbers.size in (12, 16) else None

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Range
 from hickory_stream.errors import NoPosesError, RecordingError
+from hickory_stream.geometry.camera import MOST_SIDE_PX
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.upright import up_in
@@ -255,6 +256,6 @@ def _size_of(file: Path) -> tuple[int, int]:
             size = compressed_size(stream.read(1 << 16))
     except OSError as error:
         raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
-    if size is None:
+    if size is None or not all(0 < side <= MOST_SIDE_PX for side in size):
         raise RecordingError(f"{file} is neither JPEG nor PNG, or is torn")
     return size
