@@ -49,7 +49,8 @@ def open_truth(folder: Path) -> Truth:
     source = layout.open(folder, SourceOptions(odometry="topic"))
     read = {"BOP scene": _bop, "ScanNet folder": _scannet}.get(source.info.kind)
     if read is None or not isinstance(source, FolderSource):
-        raise RecordingError(f"{folder} is a {source.info.kind}, whose annotations of objects are not known")
+        expected = "a truth folder, or annotations of BOP or ScanNet"
+        raise RecordingError(f"found {folder} of the kind {source.info.kind!r} without truth, expected {expected}")
     truth = read(Path(source.info.uri), source)
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
     seen = seen_samples(truth, surfaces, structure_meshes(truth))

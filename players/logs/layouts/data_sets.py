@@ -36,7 +36,7 @@ from players.options import DEFAULT_MAX_POSE_GAP_NS, SourceOptions
 from players.poses.interpolation import is_pose_row, pose_of_row, track_of
 from players.profile import Intrinsics, load_profile
 
-_ARKIT_TOLERANCE_NS = 5_000_000
+_ARKIT_TOLERANCE_NS, _MOST_TURN_RAD = 5_000_000, 100.0
 # So many images of ICL-NUIM may come before the first pose.
 _MOST_LATE = 2
 # ICL-NUIM's cameras and world are left-handed, y up, which its negative fy makes good for. Mirrored both, they are the
@@ -110,7 +110,7 @@ def open_arkit_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     for stamp_ns, words in read_stamped_rows(trajectory, 7) if trajectory.is_file() else ():
         with expecting(trajectory, "rows of: stamp, angle-axis, translation"):
             row = np.array([float(word) for word in words[:6]])
-        if np.isfinite(row).all():
+        if np.isfinite(row).all() and np.abs(row[:3]).max() < _MOST_TURN_RAD:
             world_from_camera = invert(from_rotation_translation(rotation_of_vector(row[:3]), row[3:]))
             stamps_ns.append(stamp_ns)
             rows.append([*world_from_camera[:3, 3], *quaternion_from_rotation(world_from_camera[:3, :3])])
@@ -160,7 +160,7 @@ def open_open3d(folder: Path, options: SourceOptions) -> FolderSource:
             if block[0] in range(len(numbers)):
                 poses[numbers[int(block[0])]] = rigid_of(block[3:])
     intrinsics, units_per_m = profile.color, profile.depth_units_per_m
-    file = next(iter(sorted({*folder.glob("*intrinsic*.json"), *folder.glob("camera_*.json")})), None)
+    file = next((file for part in OPEN3D_CAMERAS.split("|") for file in sorted(folder.glob(part))), None)
     if file is not None:
         with expecting(file, "intrinsic_matrix with nine numbers by columns", CalibrationError):
             table = json.loads(read_text(file))
@@ -183,6 +183,7 @@ def open_open3d(folder: Path, options: SourceOptions) -> FolderSource:
     )
 
 
+OPEN3D_CAMERAS = "*intrinsic*.json|camera_primesense.json"
 OPEN3D_LOGS = "*trajectory*.log|scene/trajectory.log|*-traj.txt"
 
 

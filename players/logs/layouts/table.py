@@ -96,7 +96,7 @@ LAYOUTS = (
     ),
     Layout(
         name="Open3D",
-        marks=("color|image|rgb", "depth", f"{data_sets.OPEN3D_LOGS}|*intrinsic*.json|camera_*.json"),
+        marks=("color|image|rgb", "depth", f"{data_sets.OPEN3D_LOGS}|{data_sets.OPEN3D_CAMERAS}"),
         rest=("depth/*.png", data_sets.OPEN3D_LOGS),
         open=data_sets.open_open3d,
     ),
