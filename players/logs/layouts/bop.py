@@ -19,7 +19,7 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from players.logs.layouts.folder import FolderSource
 from players.logs.layouts.folder_text import expecting, intrinsics_of, read_text
-from players.logs.layouts.frame_collector import FrameCollector, Pose, by_number, color_files, sizes_of
+from players.logs.layouts.frame_collector import FAR_M, FrameCollector, Pose, by_number, color_files, sizes_of
 from players.options import SourceOptions
 from players.poses.interpolation import nearest_rigid
 from players.profile import load_profile
@@ -80,9 +80,7 @@ def read_objects(scene: Path) -> dict[int, ObjectPoses]:
     found: dict[int, ObjectPoses] = {}
     for number, entries in _by_image(scene / OBJECTS).items():
         with expecting(scene / OBJECTS, f"obj_id, cam_R_m2c and cam_t_m2c of the objects in image {number}"):
-            found[number] = [
-                (int(entry["obj_id"]), _rigid(entry["cam_R_m2c"], entry["cam_t_m2c"])) for entry in entries
-            ]
+            found[number] = [(_model_of(entry), _rigid(entry["cam_R_m2c"], entry["cam_t_m2c"])) for entry in entries]
     return found
 
 
@@ -121,6 +119,13 @@ def _most_central(poses: list[NDArray[np.float64]]) -> Pose:
     return poses[best] if apart_m[best] <= _AGREE_M else None
 
 
+def _model_of(entry: Any) -> int:
+    model = int(entry["obj_id"])
+    if not 0 <= model < 10**6:
+        raise ValueError(f"obj_id {model}")
+    return model
+
+
 def _by_image(file: Path) -> dict[int, Any]:
     with expecting(file, "an object with an entry for each image, by its number"):
         return {int(number): entry for number, entry in json.loads(read_text(file)).items()}
@@ -129,4 +134,4 @@ def _by_image(file: Path) -> dict[int, Any]:
 def _rigid(rotation: Any, translation_mm: Any) -> Pose:
     matrix = np.asarray(rotation, dtype=np.float64).reshape(3, 3)
     shift = np.asarray(translation_mm, dtype=np.float64).reshape(3) / 1000.0
-    return nearest_rigid(from_rotation_translation(matrix, shift))
+    return nearest_rigid(from_rotation_translation(matrix, shift)) if np.abs(shift).max() < FAR_M else None

@@ -34,6 +34,9 @@ _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 # The images that are searched for level surfaces, and the angle within which an axis of the log is taken for up.
 _LEVEL_IMAGES, _AXIS_COSINE = 5, np.cos(np.radians(4.0))
 
+FAR_M = 1e6
+"""A pose that is so far away is damaged."""
+
 _UNITS = Range(low=1e-3, high=1e9, unit="units in a metre")
 
 Pose = NDArray[np.float64] | None
@@ -117,14 +120,17 @@ class FrameCollector:
 
         `view` replaces the calibration of all frames.
         """
-        if color is None or not color.is_file():
+        if log_from_depth is not None and not np.abs(log_from_depth[:3, 3]).max() < FAR_M:
+            log_from_depth = None
+        if not is_file(color):
             self._fates["depth_without_color"] += 1
-        elif depth is None or not depth.is_file():
+        elif not is_file(depth):
             self._fates["color_without_depth"] += 1
         elif (log_from_depth is None or self._ignores_poses) and not self._estimates_poses:
             self._fates["no_pose"] += 1
             self._unposed_ns.append(stamp_ns)
         else:
+            assert color is not None and depth is not None
             self._found.append((stamp_ns, color, depth, None if self._ignores_poses else log_from_depth, view))
 
     def source(
@@ -234,6 +240,14 @@ def by_number(files: Iterable[Path]) -> dict[int, Path]:
 def color_files(folder: Path, pattern: str = "*") -> dict[int, Path]:
     """Return the JPEG and PNG files of a pattern by number."""
     return by_number(file for file in folder.glob(pattern) if file.suffix in _COLOR_SUFFIXES)
+
+
+def is_file(path: Path | None) -> bool:
+    """Return whether there is such a file; a damaged name may be too long for one."""
+    try:
+        return path is not None and path.is_file()
+    except OSError:
+        return False
 
 
 def sizes_of(pairs: Iterable[tuple[Path, Path]]) -> Sizes:

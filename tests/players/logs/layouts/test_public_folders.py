@@ -276,6 +276,10 @@ def test_nerfstudio_images_are_rectified(tmp_path):
         ({"depth_unit_scale_factor": 0}, "ZeroDivisionError"),
         ({"frames": [{"file_path": "images/frame_00000.png", "transform_matrix": np.eye(4).tolist()}]}, "no frame has"),
         ({"frames": [{"file_path": "a.png"}]}, "transform_matrix"),
+        (
+            {"frames": [{"file_path": 500 * "a", "depth_file_path": "b", "transform_matrix": [1.0] * 16}]},
+            "found 1 depth_without_color",
+        ),
     ],
 )
 def test_a_nerfstudio_file_without_a_pinhole_or_depth_is_refused(tmp_path, change, message):
