@@ -193,7 +193,7 @@ def open_nerfstudio(folder: Path, options: SourceOptions) -> FolderSource:
     Intrinsics are of the file or of a frame. Depth shows the view of the image at any resolution.
     """
     file = folder / "transforms.json"
-    profile = load_profile(options.profile or "registered")
+    profile = load_profile(options.profile or "nerfstudio")
     found = FrameCollector(folder, profile, options, rough_up=(0.0, -1.0, 0.0))
     with expecting(file, "frames with file_path, depth_file_path and transform_matrix"):
         table = json.loads(read_text(file))

@@ -143,7 +143,7 @@ def test_damaged_text_is_refused_in_one_line_or_counted(written, content):
 
 def poses_by_frame(layout, folder):
     starts_ns = scenes.make_scene()[0].stamp_ns // 1_000_000 * 1_000_000 if layout == "arkit_scenes" else 0
-    rate_hz = 10 if layout == "arkit_scenes" else 30
+    rate_hz = {"arkit_scenes": 10, "bop": 4, "nerfstudio": 4}.get(layout, 30)
     frames = open_source(folder, SourceOptions(odometry="topic")).frames()
     return {round((raw.stamp_ns - starts_ns) * rate_hz / 1e9): raw.world_from_camera for raw in frames}
 
