@@ -30,7 +30,7 @@ from players.logs.layouts.folder_text import (
     read_text,
     rigid_of,
 )
-from players.logs.layouts.frame_collector import FrameCollector, Pose, Sizes, by_number, color_files, is_file, sizes_of
+from players.logs.layouts.frame_collector import FrameCollector, Pose, Sizes, by_number, color_files, is_there, sizes_of
 from players.messages.calibration import Lens
 from players.options import DEFAULT_MAX_POSE_GAP_NS, SourceOptions
 from players.poses.interpolation import is_pose_row, pose_of_row, track_of
@@ -211,7 +211,7 @@ def open_nerfstudio(folder: Path, options: SourceOptions) -> FolderSource:
     sizes: Sizes | None = None
     for i, ((color, entry), depth, matrix) in enumerate(zip(entries, depths, matrices, strict=True)):
         view = None
-        if is_file(color) and is_file(depth):
+        if is_there(color) and is_there(depth):
             sizes = sizes or sizes_of((c, d) for (c, _), d in zip(entries, depths, strict=True) if d is not None)
             with expecting(file, f"fl_x, fl_y, cx, cy and a known camera_model for {color.name}", CalibrationError):
                 calibration = {name: value for name, value in {**table, **entry}.items() if name in _CALIBRATION}

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,15 +123,14 @@ class FrameCollector:
         """
         if log_from_depth is not None and not np.abs(log_from_depth[:3, 3]).max() < FAR_M:
             log_from_depth = None
-        if not is_file(color):
+        if not is_there(color):
             self._fates["depth_without_color"] += 1
-        elif not is_file(depth):
+        elif not is_there(depth):
             self._fates["color_without_depth"] += 1
         elif (log_from_depth is None or self._ignores_poses) and not self._estimates_poses:
             self._fates["no_pose"] += 1
             self._unposed_ns.append(stamp_ns)
         else:
-            assert color is not None and depth is not None
             self._found.append((stamp_ns, color, depth, None if self._ignores_poses else log_from_depth, view))
 
     def source(
@@ -242,7 +242,7 @@ def color_files(folder: Path, pattern: str = "*") -> dict[int, Path]:
     return by_number(file for file in folder.glob(pattern) if file.suffix in _COLOR_SUFFIXES)
 
 
-def is_file(path: Path | None) -> bool:
+def is_there(path: Path | None) -> TypeGuard[Path]:
     """Return whether there is such a file; a damaged name may be too long for one."""
     try:
         return path is not None and path.is_file()
