@@ -1,4 +1,4 @@
-"""Truth from the annotations of public data sets: poses of models (BOP), and labels of a mesh (ScanNet).
+"""Truth from the annotations of public data sets: poses of models (BOP), labels of a mesh (ScanNet), boxes (ARKit).
 
 How much of an object was seen is measured on samples of its surface, as for the figures of `evaluate`.
 """
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import seen_samples, true_surface
+from hickory_stream.evaluation.labels import LABELS_FILE, load_labels
+from hickory_stream.evaluation.match import TrueBox
 from hickory_stream.evaluation.truth import (
     TRUTH_FILE,
     Truth,
@@ -25,15 +27,18 @@ from hickory_stream.evaluation.truth import (
     moved_mesh,
     structure_meshes,
 )
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.pictures.raycast import Scene, Surface
 from players.logs.layouts.bop import OBJECTS, read_objects
 from players.logs.layouts.folder import FolderFrame, FolderSource, decoded
-from players.logs.layouts.folder_text import expecting, read_text
+from players.logs.layouts.folder_text import expecting, read_text, read_world_from_log
 from players.logs.layouts.frame_collector import by_number
 from players.logs.layouts.table import layout_of
 from players.options import SourceOptions
+from players.poses.interpolation import nearest_rigid
 
 _MODELS = ("models_eval", "models", "models_cad", "models_reconst")
 _SAME_OBJECT_M = 0.1
@@ -56,6 +61,35 @@ def open_truth(folder: Path) -> Truth:
     seen = seen_samples(truth, surfaces, structure_meshes(truth))
     objects = tuple(replace(item, seen_fraction=float(seen[item.id].mean())) for item in truth.objects)
     return replace(truth, objects=objects)
+
+
+def open_boxes(path: Path) -> tuple[TrueBox, ...] | None:
+    """Return the boxes that were labelled by hand: of a file of them, or ARKitScenes' annotation beside its frames.
+
+    None if the path has none, or has a whole truth. Raises `RecordingError`.
+    """
+    if path.is_file() or ((path / LABELS_FILE).is_file() and not (path / TRUTH_FILE).is_file()):
+        return load_labels(path)
+    file = next(iter(sorted(path.glob("*_3dod_annotation.json"))), None)
+    if file is None:
+        return None
+    upright_from_world = read_world_from_log(path)
+    with expecting(file, "data with label, and in segments.obbAligned centroid, axesLengths and normalizedAxes"):
+        boxes = list[TrueBox]()
+        for entry in json.loads(read_text(file))["data"]:
+            aligned = {
+                name: np.asarray(value, dtype=np.float64) for name, value in entry["segments"]["obbAligned"].items()
+            }
+            axes = aligned["normalizedAxes"].reshape(3, 3).T
+            # A box is the same along the opposite of an axis.
+            rigid = nearest_rigid(from_rotation_translation(axes * np.sign(np.linalg.det(axes)), aligned["centroid"]))
+            if rigid is None:
+                raise ValueError("normalizedAxes that are no rotation")
+            box = OrientedBox(world_from_box=upright_from_world @ rigid, half_extents_m=aligned["axesLengths"] / 2)
+            boxes.append(TrueBox(id=len(boxes) + 1, kind=str(entry["label"]), counts=True, boxes=(box,)))
+        if not boxes:
+            raise ValueError("no boxes")
+    return tuple(boxes)
 
 
 @dataclass(slots=True)

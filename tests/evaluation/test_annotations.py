@@ -1,10 +1,13 @@
 """Annotations of data sets as truth: of folders as their writers make them, whose truth is known."""
 
+import json
 import numpy as np
 import pytest
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.data_sets import open_truth
+from hickory_stream.evaluation.data_sets import open_boxes, open_truth
+from hickory_stream.evaluation.match import box_ious
 from hickory_stream.evaluation.truth import instances_of, mesh_of, moved_mesh
+from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.recording import make_recording
 from tools.worlds.image_folders import annotate
@@ -112,6 +115,45 @@ def test_damaged_annotations_are_refused_in_one_line(annotated, content):
     else:
         for ending in ("_vh_clean_2.ply", "_vh_clean_2.0.010000.segs.json", ".aggregation.json"):
             damaged(folder / f"scene0000_00{ending}", content, folder, ending.split("_")[-1].replace(".", r"\."))
+
+
+@pytest.fixture(scope="module")
+def boxed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arkit")
+    config = RecordingConfig(layout="arkit_scenes", seconds=0.5, rate_hz=4.0, width=80, height=60)
+    true = make_recording(config, folder, "log")
+    annotate("arkit_scenes", folder / "log", true)
+    return folder / "log", true
+
+
+def test_boxes_of_arkit_are_those_of_the_objects(boxed):
+    folder, true = boxed
+    file = folder / "log_3dod_annotation.json"
+    whole = file.read_text()
+    record = json.loads(whole)
+    # A left-handed triple of axes is of the same box.
+    axes = record["data"][0]["segments"]["obbAligned"]["normalizedAxes"]
+    axes[0:3] = [-value for value in axes[0:3]]
+    file.write_text(json.dumps(record))
+    labels = open_boxes(folder)
+    file.write_text(whole)
+    assert [label.kind for label in labels] == [item.kind for item in true.objects]
+    meshes = [moved_mesh(mesh_of(true, item), item.world_from_object) for item in true.objects]
+    expected = [gravity_aligned_box(mesh.vertices, 0.005) for mesh in meshes]
+    ious = box_ious(expected, [label.boxes[0] for label in labels])
+    np.testing.assert_allclose(np.diag(ious), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"data": []}', '{"data": [{"label": "x"}]}', '{"data": 3}'])
+def test_damaged_boxes_of_arkit_are_refused_in_one_line(boxed, content):
+    folder, _ = boxed
+    file = folder / "log_3dod_annotation.json"
+    whole = file.read_text()
+    file.write_text(content)
+    with pytest.raises(RecordingError, match=r"log_3dod_annotation\.json: .*; expected data with label") as refused:
+        open_boxes(folder)
+    file.write_text(whole)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_folder_without_known_annotations_is_refused(tmp_path):
