@@ -96,9 +96,8 @@ class IclNuimLog(FolderLog):
         for pose in self.poses[1:]:
             rotation, place = pose[:3, :3].copy(), pose[:3, 3]
             rotation[:, 1] *= -1.0
-            rows = np.column_stack([rotation, place])[[0, 2, 1]]
-            blocks.append("\n".join(" ".join(f"{value:.9f}" for value in row) for row in rows))
-        self.text("livingRoom0n.gt.sim", "\n\n".join(blocks) + "\n")
+            blocks.append(_rows(np.column_stack([rotation, place])[[0, 2, 1]]))
+        self.text("livingRoom0n.gt.sim", "\n".join(blocks))
 
 
 class ArkitScenesLog(FolderLog):
@@ -115,12 +114,12 @@ class ArkitScenesLog(FolderLog):
     ) -> None:
         super().write_pose(stamp_ns, world_from_camera, velocity_link)
         camera_from_world = invert(world_from_camera)
-        values = [*rotation_vector(camera_from_world[:3, :3]), *camera_from_world[:3, 3]]
-        self._rows.append(f"{stamp_ns / 1e9:.6f} " + " ".join(f"{value:.9f}" for value in values))
+        values = np.array([[*rotation_vector(camera_from_world[:3, :3]), *camera_from_world[:3, 3]]])
+        self._rows.append(f"{stamp_ns / 1e9:.6f} {_rows(values)}")
 
     def finish(self) -> None:
         c, name = self._camera, self._folder.name
-        self.text(f"{name}_frames/lowres_wide.traj", "\n".join(self._rows) + "\n")
+        self.text(f"{name}_frames/lowres_wide.traj", "".join(self._rows))
         for stamp_ns in self.stamps_ns:
             pincam = f"{name}_frames/lowres_wide_intrinsics/{name}_{stamp_ns // 1_000_000 / 1000:.3f}.pincam"
             self.text(pincam, f"{c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}")
@@ -132,10 +131,8 @@ class Open3dLog(FolderLog):
     color, depth = "color/{i:05d}.jpg", "depth/{i:05d}.png"
 
     def finish(self) -> None:
-        blocks = []
-        for i, pose in enumerate(self.poses):
-            rows = "\n".join(" ".join(f"{value:.9f}" for value in row) for row in invert(self.poses[0]) @ pose)
-            blocks.append(f"{i} {i} {i + 1}\n{rows}\n")
+        origin = invert(self.poses[0])
+        blocks = [f"{i} {i} {i + 1}\n{_rows(origin @ pose)}" for i, pose in enumerate(self.poses)]
         self.text("trajectory.log", "".join(blocks))
         c = self._camera
         matrix = {"width": c.width, "height": c.height, "intrinsic_matrix": c.K.T.ravel().tolist()}
@@ -172,16 +169,12 @@ class ScannetLog(FolderLog):
     def finish(self) -> None:
         assert self.depth_view is not None
         for i, pose in enumerate(self.poses):
-            rows = np.full((4, 4), -np.inf) if i == 2 else pose
-            self.text(f"pose/{i}.txt", "\n".join(" ".join(f"{value:.6f}" for value in row) for row in rows) + "\n")
+            self.text(f"pose/{i}.txt", _rows(np.full((4, 4), -np.inf) if i == 2 else pose, 6))
         for name, camera in (("color", self._camera), ("depth", self.depth_view.camera)):
             k = np.eye(4)
             k[:3, :3] = camera.K
             for part, matrix in (("intrinsic", k), ("extrinsic", np.eye(4))):
-                self.text(
-                    f"intrinsic/{part}_{name}.txt",
-                    "\n".join(" ".join(f"{value:.6f}" for value in row) for row in matrix) + "\n",
-                )
+                self.text(f"intrinsic/{part}_{name}.txt", _rows(matrix, 6))
 
 
 FOLDER_LOGS: dict[str, type[FolderLog]] = {
@@ -249,6 +242,10 @@ def _annotate_scannet(folder: Path, truth: Truth) -> None:
     (folder / f"{name}_vh_clean_2.0.010000.segs.json").write_text(json.dumps({"segIndices": segments}))
     groups = [{"id": i, "objectId": i, "segments": [10 * i], "label": kind} for i, (kind, _) in enumerate(items)]
     (folder / f"{name}.aggregation.json").write_text(json.dumps({"segGroups": groups}))
+
+
+def _rows(matrix: NDArray[np.float64], digits: int = 9) -> str:
+    return "".join(" ".join(f"{value:.{digits}f}" for value in row) + "\n" for row in matrix)
 
 
 def _in_mm(a_from_b: NDArray[np.float64], names: str) -> dict[str, Any]:
