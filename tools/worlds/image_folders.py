@@ -51,7 +51,7 @@ class FolderLog:
         names = {"i": len(self.poses), "s": stamp_ns // 1_000_000 / 1000, "n": self._folder.name}
         units = np.nan_to_num(depth_m * self.units_per_m, nan=0.0, posinf=0.0, neginf=0.0).round().astype(np.uint16)
         color = self.color.format(**names)
-        data = encode_jpeg(rgb, self._jpeg_quality) if color.endswith("jpg") else encode_png(rgb[..., ::-1])  # type: ignore[arg-type]
+        data = encode_jpeg(rgb, self._jpeg_quality) if color.endswith("jpg") else encode_png(rgb[..., ::-1])
         for name, content in ((color, data), (self.depth.format(**names), encode_png(units))):
             (self._folder / name).parent.mkdir(parents=True, exist_ok=True)
             (self._folder / name).write_bytes(content)
@@ -215,7 +215,7 @@ def _annotate_bop(folder: Path, truth: Truth) -> None:
         ]
         for i, item in enumerate(shown):
             mask = np.where(instances == item.id, 255, 0).astype(np.uint8)
-            (scene / f"mask_visib/{frame.index:06d}_{i:06d}.png").write_bytes(encode_png(mask))  # type: ignore[arg-type]
+            (scene / f"mask_visib/{frame.index:06d}_{i:06d}.png").write_bytes(encode_png(mask))
     (scene / "scene_gt.json").write_text(json.dumps(table, indent=1))
 
 
