@@ -23,12 +23,7 @@ _MCAP = b"\x89MCAP"
 _ROS1 = b"#ROSBAG"
 _SQLITE = b"SQLite format 3\0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_KINDS = (
-    "an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), or a folder of images: "
-    "7-Scenes (frame-000000.color.jpg ...), TUM RGB-D (rgb.txt, depth.txt, groundtruth.txt), "
-    "Replica (results/, traj.txt), HOPE (0000_rgb.jpg, 0000_depth.png, 0000.json), "
-    "or rgb/ with depth/, cam_params.json and camera_poses.txt"
-)
+_KINDS = "an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), or an image folder of a layout in players/README.md"
 
 
 def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions | None = None) -> Source:
@@ -61,12 +56,14 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
 def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
     paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
     if len(paths) == 1 and paths[0].is_dir():
-        source = _open_folder(paths[0], options)
-        if source is not None:
+        from players.logs.layouts.table import layout_of
+
+        layout = layout_of(paths[0])
+        if layout is not None:
             if options.robot is not None:
                 found = f"found --robot {options.robot}"
                 raise RecordingError(f"{found}, but a folder of images is of no robot; leave it out")
-            return source
+            return layout.open(paths[0], options)
     from players.logs.log_opening import open_log
 
     log = open_log(open_container(*paths), options)
@@ -158,25 +155,3 @@ def _open_bag_folder(folder: Path) -> Log:
         )
     found = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "") or "nothing"
     raise RecordingError(f"{folder} is no log that is known; found {found}; expected {_KINDS}")
-
-
-def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
-    try:
-        names = sorted(entry.name for entry in folder.iterdir())
-    except OSError as error:
-        raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
-    from players.logs import folder_layouts
-
-    if "metadata.yaml" in names:
-        return None
-    if any(name.startswith("frame-") and ".color." in name for name in names):
-        return folder_layouts.open_seven_scenes(folder, options)
-    if "rgb.txt" in names:
-        return folder_layouts.open_tum(folder, options)
-    if folder_layouts.TRAJECTORY in names and "results" in names:
-        return folder_layouts.open_replica(folder, options)
-    if any(name.endswith(("_rgb.jpg", "_rgb.png")) for name in names):
-        return folder_layouts.open_hope(folder, options)
-    if folder_layouts.CAM_PARAMS in names or folder_layouts.CAMERA_POSES in names:
-        return folder_layouts.open_posed_folder(folder, options)
-    return None

@@ -22,7 +22,8 @@ from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.stream_stats import StreamStats, nearest_ms
-from players.logs.folder import FolderSource
+from players.logs.layouts.folder import FolderSource
+from players.logs.layouts.table import layout_of
 from players.logs.log_opening import open_log, read_opening
 from players.logs.log_source import LogSource
 from players.opening import open_container, open_source
@@ -96,7 +97,7 @@ def examine(
     paths = [Path(uri) for uri in uris]
     found = Diagnosis(uri=" ".join(str(path) for path in paths))
     try:
-        if _is_image_folder(paths):
+        if len(paths) == 1 and paths[0].is_dir() and layout_of(paths[0]) is not None:
             source = open_source(list(paths), options)
             progress("reading as play does")
             found.kind, found.streams = source.info.kind, dict(source.info.streams)
@@ -136,13 +137,6 @@ def examine_log(
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
     return found
-
-
-def _is_image_folder(paths: Sequence[Path]) -> bool:
-    if len(paths) != 1 or not paths[0].is_dir():
-        return False
-    suffixes = {file.suffix for file in paths[0].rglob("*") if file.is_file()}
-    return bool(suffixes & {".png", ".jpg", ".jpeg"}) and not suffixes & {".mcap", ".bag", ".db3"}
 
 
 def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
