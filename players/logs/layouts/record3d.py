@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.camera import MOST_SIDE_PX
 from hickory_stream.geometry.rigid import compose
 from players.logs.layouts.file_parts import FilePart, members_of, read_image_file
 from players.logs.layouts.folder import FolderView
@@ -43,7 +44,6 @@ _IMAGE = re.compile(r"(rgbd|rgb|depth)/(\d{1,7})\.(jpg|jpeg|png|depth|exr|conf)"
 _PACKAGES = {".depth": "lzfse", ".exr": "OpenEXR"}
 _CAMERA_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _CAMERA_UP = (0.0, -1.0, 0.0)
-_MAX_SIDE = 8_192
 _SAME = 1e-6
 
 
@@ -127,7 +127,10 @@ def _read_metadata(file: ImageFile) -> _Metadata:
         table = json.loads(read_image_file(file))
         size, depth_size = (table["w"], table["h"]), (table.get("dw"), table.get("dh"))
         for sides in (size, size if None in depth_size else depth_size):
-            if not all(type(side) is int and 0 < side <= _MAX_SIDE for side in sides) or math.prod(sides) > MAX_PIXELS:
+            if (
+                not all(type(side) is int and 0 < side <= MOST_SIDE_PX for side in sides)
+                or math.prod(sides) > MAX_PIXELS
+            ):
                 raise ValueError(f"images of {sides[0]}x{sides[1]} pixels")
         poses, is_y_up = _poses([_row(values) for values in table.get("poses") or ()], table.get("initPose"))
         rate_hz = float(table.get("fps") or 60)
@@ -231,7 +234,7 @@ def _unpacked(data: bytes, what: str) -> bytes:
 
 def _decode_exr(data: bytes, what: str) -> NDArray[np.float32]:
     exr = _package("OpenEXR", what)
-    exr.setMaxImageSize(_MAX_SIDE, _MAX_SIDE)
+    exr.setMaxImageSize(*(math.isqrt(MAX_PIXELS),) * 2)
     try:
         (channel, *_) = exr.File(io.BytesIO(data), separate_channels=True).channels().values()
         return np.asarray(channel.pixels, dtype=np.float32)

@@ -69,6 +69,8 @@ def open_sens(file: Path, options: SourceOptions) -> FolderSource:
         # A damaged count may be larger than all that fits into the file.
         found.lose(min(declared - len(frames), num_bytes // _FRAME.size))
         flaws.append(f"{file.name} is cut off or damaged at byte {place}, after {len(frames)} of {declared} frames")
+    elif declared == 0:
+        flaws.append(f"{file.name} was not closed: it declares no frames, and has {len(frames)}")
     steps_us = [after.stamp_us - before.stamp_us for before, after in pairwise(frames)]
     has_stamps = bool(steps_us) and min(steps_us) > 0 and max(steps_us) <= _MAX_STEP_US and frames[-1].stamp_us < 2**52
     for i, frame in enumerate(frames):

@@ -9,6 +9,7 @@ from hickory_stream.errors import UnknownLogError
 from players.logs.layouts.table import LAYOUTS, has_files, layout_of
 
 _MOST_FILES, _MOST_FOLDERS, _KINDS, _NEAREST = 100_000, 100, 6, 3
+_LOGS = "metadata.yaml|*.mcap|*.bag|*.db3|*.zstd"
 _HINTS = {
     **dict.fromkeys((".jpg", ".jpeg", ".png", ".txt", ".json"), "one file of a recording; name its folder"),
     **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv"), "a video, which has neither depth nor poses"),
@@ -38,11 +39,11 @@ def unknown_folder(folder: Path, expected: str) -> UnknownLogError:
 
 
 def _nearest(folder: Path) -> tuple[str, ...]:
-    lines = [
-        f"{child} is a folder of the layout {layout.name}: name it"
-        for child in islice(sorted(folder.iterdir()), _MOST_FOLDERS)
-        if child.is_dir() and (layout := layout_of(child)) is not None
-    ]
+    lines = []
+    for child in islice((child for child in sorted(folder.iterdir()) if child.is_dir()), _MOST_FOLDERS):
+        layout = layout_of(child)
+        if layout is not None or has_files(child, _LOGS):
+            lines.append(f"{child} is {f'of the layout {layout.name}' if layout else 'a bag or holds logs'}: name it")
     scored = []
     for i, layout in enumerate(LAYOUTS):
         found, missing = layout.found(folder), layout.missing(folder)

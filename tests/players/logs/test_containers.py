@@ -112,6 +112,7 @@ def test_a_sens_that_was_not_closed_is_read_to_its_end(copied):
     at = 12 + len("StructureSensor") + 4 * 64 + 28
     source = open_source(copied("scannet_sens", lambda data: data[:at] + bytes(8) + data[at + 8 :]))
     assert len(list(source.frames())) == len(TRUTH) - 1
+    assert source.account().as_dict()["damage"] == ["log.sens was not closed: it declares no frames, and has 6"]
 
 
 @pytest.mark.parametrize("count", [2**63, 1_000_000])
@@ -342,7 +343,7 @@ def test_the_doctor_says_what_an_unknown_folder_lacks(tmp_path):
 
 def test_the_doctor_names_a_folder_within_that_is_a_log(logs):
     found = examine([logs["record3d_exr"].parent], SourceOptions())
-    assert found.notes == [f"{logs['record3d_exr']} is a folder of the layout Record3D export: name it"]
+    assert found.notes == [f"{logs['record3d_exr']} is of the layout Record3D export: name it"]
 
 
 @pytest.mark.parametrize(
