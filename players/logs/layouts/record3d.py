@@ -201,17 +201,10 @@ def _derived_size(path: Path, depths: dict[int, ImageFile], size: tuple[int, int
 
 def _depth_bytes(depth: ImageFile, confidence: ImageFile | None) -> bytes:
     # float32 metres; NaN where the confidence is low (0 of 0, 1, 2).
-    data, what = read_image_file(depth), str(depth)
-    if what.endswith(".exr"):
-        metres = _decode_exr(data, what)
-    elif what.endswith(".png"):
-        metres = decode_depth_png(data, 1000.0, what)
-    else:
-        data = _unpacked(data, what)
-        metres = np.frombuffer(data, dtype="<f4", count=len(data) // 4)
+    metres = _values(depth, "<f4")
     if confidence is not None:
-        sure = np.frombuffer(_unpacked(read_image_file(confidence), str(confidence)), dtype=np.uint8)
-        metres = np.where(sure > 0, metres.ravel(), np.float32(np.nan)) if sure.size == metres.size else metres
+        sure = _values(confidence, "u1")
+        metres = np.where(sure > 0, metres, np.float32(np.nan)) if sure.size == metres.size else metres
     return metres.astype("<f4").tobytes()
 
 
@@ -222,24 +215,26 @@ def _metres(data: bytes, what: str, *, shape: tuple[int, int]) -> NDArray[np.flo
     return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
 
 
-def _unpacked(data: bytes, what: str) -> bytes:
-    if not data.startswith(b"bvx"):
-        return data  # Some programs that write this format do not compress.
-    lzfse = _package("lzfse", what)
-    try:
-        return bytes(lzfse.decompress(data))
-    except (lzfse.error, ValueError, MemoryError) as error:
-        raise RecordingError(f"{what} is damaged: LZFSE cannot unpack it") from error
-
-
-def _decode_exr(data: bytes, what: str) -> NDArray[np.float32]:
-    exr = _package("OpenEXR", what)
-    exr.setMaxImageSize(*(math.isqrt(MAX_PIXELS),) * 2)
-    try:
-        (channel, *_) = exr.File(io.BytesIO(data), separate_channels=True).channels().values()
-        return np.asarray(channel.pixels, dtype=np.float32)
-    except (ValueError, RuntimeError, TypeError, MemoryError) as error:
-        raise RecordingError(f"{what} is no EXR image, or damaged: {error}") from error
+def _values(file: ImageFile, dtype: str) -> NDArray[Any]:
+    # All pixels of an image in one row. Some programs that write this format do not compress.
+    data, what = read_image_file(file), str(file)
+    if what.endswith(".png"):
+        return decode_depth_png(data, 1000.0, what).ravel()
+    if what.endswith(".exr"):
+        exr = _package("OpenEXR", what)
+        exr.setMaxImageSize(*(math.isqrt(MAX_PIXELS),) * 2)
+        try:
+            (channel, *_) = exr.File(io.BytesIO(data), separate_channels=True).channels().values()
+        except (ValueError, RuntimeError, TypeError, MemoryError) as error:
+            raise RecordingError(f"{what} is no EXR image, or damaged: {error}") from error
+        return np.asarray(channel.pixels, dtype=np.float32).ravel()
+    if data.startswith(b"bvx"):
+        lzfse = _package("lzfse", what)
+        try:
+            data = lzfse.decompress(data)
+        except (lzfse.error, MemoryError) as error:
+            raise RecordingError(f"{what} is damaged: LZFSE cannot unpack it") from error
+    return np.frombuffer(data, dtype=dtype, count=len(data) // np.dtype(dtype).itemsize)
 
 
 def _package(name: str, what: object) -> Any:
@@ -247,7 +242,5 @@ def _package(name: str, what: object) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         other = "EXR + JPEG" if name == "lzfse" else ".r3d"
-        raise RecordingError(
-            f"{what} needs the package {name}, which is not installed: pip install {name.lower()}, or export {other} "
-            "from the app"
-        ) from error
+        way_out = f"pip install {name.lower()}, or export {other} from the app"
+        raise RecordingError(f"{what} needs the package {name}, which is not installed: {way_out}") from error
