@@ -24,7 +24,7 @@ from players.messages.calibration import Lens
 from players.messages.depth_registration import Registration, register_depth
 from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
 
-_LOST = "unreadable_frame"
+_LOST = "unreadable_frames"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ class FolderContent:
     frames: tuple[FolderFrame, ...]
     #: (4, 4); annotations of the log are in its own world.
     world_from_log: NDArray[np.float64]
-    #: Counts, by reason, of files that became no frame; `unreadable_frame`: pairs lost in damage.
+    #: Counts, by reason, of files that became no frame; `unreadable_frames`: pairs lost in damage.
     fates: Mapping[str, int]
     streams: tuple[tuple[str, str], ...]
     #: Poses and intrinsics; with the names and sizes of the images they identify the folder.

@@ -137,7 +137,7 @@ class FrameCollector:
 
     def lose(self, number: int) -> None:
         """Count pairs that are lost in damage."""
-        self._fates["unreadable_frame"] += number
+        self._fates["unreadable_frames"] += number
 
     def source(
         self,

@@ -103,7 +103,7 @@ def test_a_sens_that_is_cut_off_keeps_its_first_frames(copied):
     num_frames = len(list(source.frames()))
     assert 0 < num_frames < len(TRUTH) - 1
     account = source.account().as_dict()
-    assert account["unreadable"] == 2 * source.ledger()["unreadable_frame"] > 0
+    assert account["unreadable"] == 2 * source.ledger()["unreadable_frames"] > 0
     assert account["difference"] == 0
     assert "is cut off or damaged at byte" in account["damage"][0]
 
