@@ -5,7 +5,8 @@
     |   |-- ConfigError             a key, a value or a file of the configuration
     |   |   `-- RangeError          a number outside of its range
     |   |-- RecordingError          a log that cannot be read or mapped
-    |   |   `-- NoPosesError        a log without poses, for odometry
+    |   |   |-- NoPosesError        a log without poses, for odometry
+    |   |   `-- UnknownLogError     a path that is no log of a known kind
     |   |-- CalibrationError        missing intrinsics or extrinsics, or a contradiction to the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
@@ -47,6 +48,14 @@ class RecordingError(InputError):
 
 class NoPosesError(RecordingError):
     """A log without poses; odometry can estimate them."""
+
+
+class UnknownLogError(RecordingError):
+    """A path that is no log of a known kind; `nearest` says, a line each, what similar layouts lack."""
+
+    def __init__(self, found: str, nearest: tuple[str, ...] = ()) -> None:
+        super().__init__("; ".join((found, *nearest)))
+        self.found, self.nearest = found, nearest
 
 
 class CalibrationError(InputError):

@@ -13,6 +13,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.worlds import ros_messages
 from hickory_stream.worlds.zed_log import COLOR_ENCODING, DepthView, LogWriter, ZedLog, encode_jpeg
+from tools.worlds.container_layouts import CONTAINER_LOGS
 from tools.worlds.image_folders import FOLDER_LOGS
 
 
@@ -45,7 +46,7 @@ class RosMessages(ros_messages.RosMessages):
         )  # fmt: skip
 
 
-LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg", *FOLDER_LOGS)
+LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg", *FOLDER_LOGS, *CONTAINER_LOGS)
 
 _FLU_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -54,7 +55,7 @@ def layout_files(layout: str, name: str) -> tuple[str, ...]:
     """Return the files or folders of a recording in a layout, beginning with the one to play."""
     if layout == "kimera_multi":
         return f"{name}.bag", f"{name}_vio.bag"
-    return (f"{name}.mcap",) if layout == "zed" else (name,)
+    return (f"{name}.mcap",) if layout == "zed" else (f"{name}{getattr(CONTAINER_LOGS.get(layout), 'ending', '')}",)
 
 
 def layout_camera(layout: str, camera: Camera) -> Camera:
@@ -88,6 +89,8 @@ def open_layout(
     if layout.startswith("nus_clb"):
         quality = jpeg_quality if layout.endswith("jpeg") else None
         return NusClbLog(folder / name, name, camera, quality, end_ns, mounting)
+    if layout in CONTAINER_LOGS:
+        return CONTAINER_LOGS[layout](folder / layout_files(layout, name)[0], camera, jpeg_quality)
     return ZedLog(folder / f"{name}.mcap", camera, jpeg_quality)
 
 

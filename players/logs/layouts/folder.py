@@ -1,4 +1,4 @@
-"""Image folders as a source, for all layouts of the table.
+"""Image folders, and files that hold a folder's images, as a source.
 
 Files are found and paired on opening; colour is read when a frame is reached, depth when it is decoded.
 Frames are those of the colour camera, and the poses are its poses.
@@ -6,7 +6,7 @@ Frames are those of the colour camera, and the poses are its poses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,10 +18,13 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from players.logs.containers import files_identity
+from players.logs.layouts.file_parts import FilePart, ImageFile, read_image_file
 from players.logs.message_account import Account, Ledger, TopicAccount
 from players.messages.calibration import Lens
 from players.messages.depth_registration import Registration, register_depth
 from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
+
+_LOST = "unreadable_frames"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -31,15 +34,17 @@ class FolderView:
     registration: Registration
     depth_units_per_m: float
     lenses: tuple[Lens, Lens] | None = None
+    #: Returns metres from the bytes and the name of a depth image; None: 16-bit PNG.
+    decode_depth: Callable[[bytes, str], NDArray[np.float32]] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FolderFrame:
-    """A pair of image files with its stamp and the colour camera's pose, None if odometry has to estimate it."""
+    """A pair of images with its stamp and the colour camera's pose, None if odometry has to estimate it."""
 
     stamp_ns: int
-    color: Path
-    depth: Path
+    color: ImageFile
+    depth: ImageFile
     world_from_camera: NDArray[np.float64] | None
     view: FolderView
 
@@ -58,16 +63,19 @@ class FolderContent:
     frames: tuple[FolderFrame, ...]
     #: (4, 4); annotations of the log are in its own world.
     world_from_log: NDArray[np.float64]
-    #: Counts, by reason, of files that became no frame.
+    #: Counts, by reason, of files that became no frame; `unreadable_frames`: pairs lost in damage.
     fates: Mapping[str, int]
     streams: tuple[tuple[str, str], ...]
     #: Poses and intrinsics; with the names and sizes of the images they identify the folder.
     text_files: tuple[Path, ...]
+    #: Damaged places, in words.
+    flaws: tuple[str, ...] = ()
 
     @property
     def images(self) -> list[Path]:
-        """The files of all frames, colour before depth."""
-        return [file for frame in self.frames for file in (frame.color, frame.depth)]
+        """The files of all frames, colour before depth, each once."""
+        images = (image for frame in self.frames for image in (frame.color, frame.depth))
+        return list(dict.fromkeys(image.file if isinstance(image, FilePart) else image for image in images))
 
 
 class FolderSource:
@@ -104,7 +112,10 @@ class FolderSource:
         index = 0
         for files in self.content.frames:
             camera = files.view.registration.color_camera
-            color_bytes = _read(files.color)
+            try:
+                color_bytes = read_image_file(files.color)
+            except RecordingError:
+                color_bytes = b""  # Reported when the frame is decoded.
             size = compressed_size(color_bytes)
             if size is not None and size != (camera.width, camera.height):
                 ledger.count("frame_of_other_size")
@@ -137,18 +148,26 @@ class FolderSource:
         not_played = len(content.frames) - frames - other_size
         streams, topics = dict(content.streams), []
         for role, other in (("color", "depth_without_color"), ("depth", "color_without_depth")):
-            became_none = {fate: number for fate, number in content.fates.items() if fate != other}
+            became_none = {fate: number for fate, number in content.fates.items() if fate not in (other, _LOST)}
+            lost = content.fates.get(_LOST, 0)
             rejected = {**became_none, "frame_of_other_size": other_size}
             topics.append(
                 TopicAccount(
                     topic=streams.get(role, role),
-                    declared=len(content.frames) + sum(became_none.values()),
+                    declared=len(content.frames) + sum(became_none.values()) + lost,
                     used=frames,
+                    unreadable=lost,
                     not_played=not_played,
                     rejected={fate: number for fate, number in rejected.items() if number},
                 )
             )
-        return Account(topics=tuple(topics), is_complete=self._ledger.is_complete, unit="files")
+        return Account(
+            topics=tuple(topics),
+            is_complete=self._ledger.is_complete,
+            num_flaws=len(content.flaws),
+            flaws=content.flaws,
+            unit="images" if isinstance(content.frames[0].color, FilePart) else "files",
+        )
 
     def num_bytes(self) -> int:
         """Return the size of everything that is played: images, poses and intrinsics."""
@@ -160,13 +179,17 @@ class FolderSource:
 
 def decoded(files: FolderFrame, sensor: DepthSensor) -> Frame:
     """Return a single frame, outside of any pass. Raises `RecordingError`: an image cannot be read."""
-    return _decode(sensor, files, 0, _read(files.color), Ledger())
+    return _decode(sensor, files, 0, read_image_file(files.color), Ledger())
 
 
 def _decode(sensor: DepthSensor, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger) -> Frame:
     try:
-        rgb = decode_color(color_bytes, str(files.color))
-        depth_m = decode_depth_png(_read(files.depth), files.view.depth_units_per_m, str(files.depth))
+        rgb = decode_color(color_bytes or read_image_file(files.color), str(files.color))
+        data, what, decode = read_image_file(files.depth), str(files.depth), files.view.decode_depth
+        if decode is None:
+            depth_m = decode_depth_png(data, files.view.depth_units_per_m, what)
+        else:
+            depth_m = decode(data, what)
         depth_m = sensor.returns(depth_m)
         camera = files.view.registration.depth_camera
         if depth_m.shape != (camera.height, camera.width):
@@ -188,10 +211,3 @@ def _decode(sensor: DepthSensor, files: FolderFrame, index: int, color_bytes: by
         world_from_camera=files.pose,
         sensor=sensor,
     )
-
-
-def _read(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{file} cannot be read: {error.strerror}") from error

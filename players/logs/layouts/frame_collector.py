@@ -23,6 +23,7 @@ from hickory_stream.geometry.rigid import compose, from_rotation_translation, in
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.upright import up_in
 from players.logs.layouts import folder_text
+from players.logs.layouts.file_parts import FilePart, ImageFile, read_image_file
 from players.logs.layouts.folder import FolderContent, FolderFrame, FolderSource, FolderView, decoded
 from players.logs.synchronizer import Leftover, Stamped, pair_nearest
 from players.messages.depth_registration import Registration
@@ -56,17 +57,18 @@ class FrameCollector:
         *,
         color_from_depth: NDArray[np.float64] | None = None,
         rough_up: tuple[float, float, float] | None = None,
+        is_y_up: bool = False,
     ) -> None:
-        """`rough_up` is up in the camera within 50 degrees, if level surfaces have to tell; None: the log is z up."""
+        """`rough_up` is up in the camera within 50 degrees, if level surfaces have to tell; None: z or y of the log."""
         self._folder = folder
         self._estimates_poses = options.estimates_poses
         self._ignores_poses = options.pose_topic == NO_TOPIC
-        self._rough_up = rough_up
+        self._rough_up, self._is_y_up = rough_up, is_y_up
         shift = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
         self._color_from_depth = shift if color_from_depth is None else color_from_depth
         self._depth_from_color = invert(self._color_from_depth)
         self._profile = profile
-        self._found: list[tuple[int, Path, Path, Pose, FolderView | None]] = []
+        self._found: list[tuple[int, ImageFile, ImageFile, Pose, FolderView | None]] = []
         self._fates: Counter[str] = Counter()
         self._unposed_ns: list[int] = []
 
@@ -112,8 +114,8 @@ class FrameCollector:
     def add(
         self,
         stamp_ns: int,
-        color: Path | None,
-        depth: Path | None,
+        color: ImageFile | None,
+        depth: ImageFile | None,
         log_from_depth: Pose,
         view: FolderView | None = None,
     ) -> None:
@@ -133,6 +135,10 @@ class FrameCollector:
         else:
             self._found.append((stamp_ns, color, depth, None if self._ignores_poses else log_from_depth, view))
 
+    def lose(self, number: int) -> None:
+        """Count pairs that are lost in damage."""
+        self._fates["unreadable_frames"] += number
+
     def source(
         self,
         *,
@@ -143,6 +149,7 @@ class FrameCollector:
         color_intrinsics: Intrinsics | None = None,
         depth_units_per_m: float | None = None,
         pose_span_ns: tuple[int, int] | None = None,
+        flaws: Sequence[str] = (),
     ) -> FolderSource:
         """Return the source of all frames; without `depth_intrinsics` every frame has a view.
 
@@ -176,6 +183,7 @@ class FrameCollector:
             fates=dict(self._fates),
             streams=(*streams.items(), ("up", up)),
             text_files=tuple(text_files),
+            flaws=tuple(flaws),
         )
         return FolderSource(self._folder, content)
 
@@ -200,7 +208,11 @@ class FrameCollector:
             return folder_text.read_world_from_log(self._folder), folder_text.GRAVITY
         posed = [frame for frame in frames if frame.world_from_camera is not None]
         if self._rough_up is None or not posed:
-            return np.eye(4), "z of the log"
+            return (
+                (world_from_down(np.array([0, -1, 0])), "y of the log")
+                if self._is_y_up
+                else (np.eye(4), "z of the log")
+            )
         rough_up = np.array(self._rough_up)
         for frame in posed[:: max(1, len(posed) // _LEVEL_IMAGES)]:
             try:
@@ -213,7 +225,7 @@ class FrameCollector:
                 if abs(up[axis]) > _AXIS_COSINE:
                     sign, up = np.sign(up[axis]), np.eye(3)[axis] * np.sign(up[axis])
                     return world_from_down(-up), f"{'-' if sign < 0 else ''}{'xyz'[axis]} of the log, by level surfaces"
-                return world_from_down(-up), f"level surfaces of {frame.depth.name}"
+                return world_from_down(-up), f"level surfaces of {Path(str(frame.depth)).name}"
         return world_from_down(-posed[0].pose[:3, :3] @ rough_up), "the first image, without a level surface in view"
 
     def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
@@ -242,15 +254,15 @@ def color_files(folder: Path, pattern: str = "*") -> dict[int, Path]:
     return by_number(file for file in folder.glob(pattern) if file.suffix in _COLOR_SUFFIXES)
 
 
-def is_there(path: Path | None) -> TypeGuard[Path]:
-    """Return whether there is such a file; a damaged name may be too long for one."""
+def is_there(image: ImageFile | None) -> TypeGuard[ImageFile]:
+    """Return whether there is such an image; a damaged name may be too long for a file."""
     try:
-        return path is not None and path.is_file()
+        return isinstance(image, FilePart) or (image is not None and image.is_file())
     except OSError:
         return False
 
 
-def sizes_of(pairs: Iterable[tuple[Path, Path]]) -> Sizes:
+def sizes_of(pairs: Iterable[tuple[ImageFile, ImageFile]]) -> Sizes:
     """Return the sizes of the first pair of images (colour, depth) whose headers can be read.
 
     Raises `RecordingError`: no image can be read, or is JPEG or PNG.
@@ -264,12 +276,8 @@ def sizes_of(pairs: Iterable[tuple[Path, Path]]) -> Sizes:
     raise refusal
 
 
-def _size_of(file: Path) -> tuple[int, int]:
-    try:
-        with file.open("rb") as stream:
-            size = compressed_size(stream.read(1 << 16))
-    except OSError as error:
-        raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
+def _size_of(file: ImageFile) -> tuple[int, int]:
+    size = compressed_size(read_image_file(file)[: 1 << 16])
     if size is None or not all(0 < side <= MOST_SIDE_PX for side in size):
         raise RecordingError(f"{file} is neither JPEG nor PNG, or is torn")
     return size

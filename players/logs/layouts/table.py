@@ -1,4 +1,4 @@
-"""The table of layouts of image folders: a new layout joins with one row.
+"""The table of layouts of image folders, and the files that hold such a folder: a new layout joins with one row.
 
 Patterns are globs inside the folder; `|` separates alternatives. The first layout with all its marks is the folder's.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.ports import Source
-from players.logs.layouts import bop, data_sets, plain_folders
+from players.logs.layouts import bop, data_sets, plain_folders, record3d, scannet_sens
 from players.options import SourceOptions
 
 
@@ -39,6 +39,21 @@ class Layout:
         return tuple(dict.fromkeys((*self.marks, *self.rest)))
 
 
+Opener = Callable[[Path, SourceOptions], Source]
+
+
+def _only(pattern: str, opener: Opener) -> Opener:
+    # A folder that holds one file of a kind, perhaps beside meshes and labels.
+    def opened(folder: Path, options: SourceOptions) -> Source:
+        first, *others = sorted(folder.glob(pattern))
+        if others:
+            raise RecordingError(f"{folder} holds {1 + len(others)} files {pattern}; name the one to play")
+        return opener(first, options)
+
+    return opened
+
+
+_ZIP = b"PK\x03\x04"
 _POSED = ("cam_params.json", "camera_poses.txt")
 _COLORS = "rgb/*.png|rgb/*.jpg"
 
@@ -95,12 +110,44 @@ LAYOUTS = (
         open=plain_folders.open_posed_folder,
     ),
     Layout(
+        name="unpacked .r3d", marks=("metadata", "rgbd/*.jpg", "rgbd/*.depth"), rest=(), open=record3d.open_record3d
+    ),
+    Layout(
+        name="Record3D export",
+        marks=("metadata.json|EXR_RGBD/metadata.json", "rgb|EXR_RGBD/rgb", "depth|EXR_RGBD/depth"),
+        rest=(),
+        open=record3d.open_record3d,
+    ),
+    Layout(name="ScanNet .sens", marks=("*.sens",), rest=(), open=_only("*.sens", scannet_sens.open_sens)),
+    Layout(name="Record3D .r3d", marks=("*.r3d",), rest=(), open=_only("*.r3d", record3d.open_record3d)),
+    Layout(
         name="Open3D",
         marks=("color|image|rgb", "depth", f"{data_sets.OPEN3D_LOGS}|{data_sets.OPEN3D_CAMERAS}"),
         rest=("depth/*.png", data_sets.OPEN3D_LOGS),
         open=data_sets.open_open3d,
     ),
 )  # fmt: skip
+
+
+def opener_of(path: Path) -> Opener | None:
+    """Return the reader of an image folder, or of a file that holds one; None for anything else.
+
+    Raises `RecordingError`: the path cannot be read.
+    """
+    if path.is_dir():
+        layout = layout_of(path)
+        return None if layout is None else layout.open
+    if not path.is_file():
+        return None
+    try:
+        with path.open("rb") as stream:
+            magic = stream.read(16)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    # The first bytes may be damaged.
+    if magic and (scannet_sens.is_sens(magic) or path.suffix == ".sens"):
+        return scannet_sens.open_sens
+    return record3d.open_record3d if magic and (magic.startswith(_ZIP) or path.suffix == ".r3d") else None
 
 
 def layout_of(folder: Path) -> Layout | None:
