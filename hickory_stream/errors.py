@@ -6,7 +6,8 @@
     |   |   `-- RangeError          a number outside of its range
     |   |-- RecordingError          a log that cannot be read or mapped
     |   |   |-- NoPosesError        a log without poses, for odometry
-    |   |   `-- EmptyMapError       a log of which nothing could be mapped; exit status 3
+    |   |   |-- EmptyMapError       a log of which nothing could be mapped; exit status 3
+    |   |   `-- UnknownLogError     a path that is no log of a known kind
     |   |-- CalibrationError        missing intrinsics or extrinsics, or a contradiction to the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
@@ -54,6 +55,14 @@ class EmptyMapError(RecordingError):
     """A log that was read to its end, and of which nothing could be mapped."""
 
     exit_status = 3
+
+
+class UnknownLogError(RecordingError):
+    """A path that is no log of a known kind; `nearest` says, a line each, what similar layouts lack."""
+
+    def __init__(self, found: str, nearest: tuple[str, ...] = ()) -> None:
+        super().__init__("; ".join((found, *nearest)))
+        self.found, self.nearest = found, nearest
 
 
 class CalibrationError(InputError):

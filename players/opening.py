@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.ports import Source
     from players.logs.containers import Log
+    from players.poses.odometry_source import OdometrySource
 
 logger = logging.getLogger(__name__)
 
@@ -23,12 +24,7 @@ _MCAP = b"\x89MCAP"
 _ROS1 = b"#ROSBAG"
 _SQLITE = b"SQLite format 3\0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_KINDS = (
-    "an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), or a folder of images: "
-    "7-Scenes (frame-000000.color.jpg ...), TUM RGB-D (rgb.txt, depth.txt, groundtruth.txt), "
-    "Replica (results/, traj.txt), HOPE (0000_rgb.jpg, 0000_depth.png, 0000.json), "
-    "or rgb/ with depth/, cam_params.json and camera_poses.txt"
-)
+_KINDS = "an MCAP file, a ROS 1 or ROS 2 bag, a .sens or .r3d file, or an image folder as in players/README.md"
 
 
 def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions | None = None) -> Source:
@@ -42,12 +38,14 @@ def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions |
         try:
             return _open(uri, options)
         except NoPosesError as error:
+            source = open_estimating(uri, options)
             logger.info("%s", error)
-            return open_estimating(uri, options)
+            logger.warning("%s has no poses: odometry on its %s estimates them", source.info.uri, source.sensor)
+            return source
     return _open(uri, options) if options.odometry == "topic" else open_estimating(uri, options)
 
 
-def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
+def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> OdometrySource:
     """Return a source that estimates its poses, by the chosen odometry ("auto": LiDAR, else depth).
 
     Raises `HickoryError`: as of `open_source`; or the chosen sensor or method is not available.
@@ -60,13 +58,15 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
 
 def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
     paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
-    if len(paths) == 1 and paths[0].is_dir():
-        source = _open_folder(paths[0], options)
-        if source is not None:
+    if len(paths) == 1:
+        from players.logs.layouts.table import opener_of
+
+        opener = opener_of(paths[0])
+        if opener is not None:
             if options.robot is not None:
                 found = f"found --robot {options.robot}"
                 raise RecordingError(f"{found}, but a folder of images is of no robot; leave it out")
-            return source
+            return opener(paths[0], options)
     from players.logs.log_opening import open_log
 
     log = open_log(open_container(*paths), options)
@@ -99,6 +99,8 @@ def open_container(*paths: Path) -> Log:
 
 
 def _open_file(path: Path) -> Log:
+    from players.logs.layouts.unknown import unknown_file
+
     if not path.exists():
         raise RecordingError(f"no such file or folder: {path}")
     if not path.is_file():
@@ -108,22 +110,23 @@ def _open_file(path: Path) -> Log:
     if not magic:
         raise RecordingError(f"{path} is empty; expected {_KINDS}")
     if magic.startswith(_ROS1):
+        from players.logs.realsense_bag import as_viewer_bag
         from players.logs.ros1_log import Ros1Log
 
-        return Ros1Log(path)
+        return as_viewer_bag(Ros1Log(path))
     if magic.startswith((_MCAP, _SQLITE, _ZSTD)) and (magic[:4] != _ZSTD or path.suffix == ".zstd"):
         from players.logs.ros2_bag import open_bag_file
 
         return open_bag_file(path)
     # The first bytes may be damaged.
     suffix = path.name.removesuffix(".zstd").rsplit(".", 1)[-1]
-    damaged = f"{path} is of no known kind (it begins with {magic[:8].hex(' ')}); expected {_KINDS}"
+    damaged = unknown_file(path, magic, _KINDS)
     if suffix in ("bag", "mcap", "db3"):
         try:
             return _open_by_suffix(path, suffix)
         except RecordingError as error:
-            raise RecordingError(damaged) from error
-    raise RecordingError(damaged)
+            raise damaged from error
+    raise damaged
 
 
 def _open_by_suffix(path: Path, suffix: str) -> Log:
@@ -138,6 +141,7 @@ def _open_by_suffix(path: Path, suffix: str) -> Log:
 
 
 def _open_bag_folder(folder: Path) -> Log:
+    from players.logs.layouts.unknown import unknown_folder
     from players.logs.ros2_bag import METADATA, bag_files, open_ros2_bag
 
     names = sorted(entry.name for entry in folder.iterdir())
@@ -156,27 +160,4 @@ def _open_bag_folder(folder: Path) -> Log:
             f"{folder} holds {len(logs)} logs without a {METADATA}, and their names are not those of one split "
             f"recording; name the ones to play: {', '.join(logs)}"
         )
-    found = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "") or "nothing"
-    raise RecordingError(f"{folder} is no log that is known; found {found}; expected {_KINDS}")
-
-
-def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
-    try:
-        names = sorted(entry.name for entry in folder.iterdir())
-    except OSError as error:
-        raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
-    from players.logs import folder_layouts
-
-    if "metadata.yaml" in names:
-        return None
-    if any(name.startswith("frame-") and ".color." in name for name in names):
-        return folder_layouts.open_seven_scenes(folder, options)
-    if "rgb.txt" in names:
-        return folder_layouts.open_tum(folder, options)
-    if folder_layouts.TRAJECTORY in names and "results" in names:
-        return folder_layouts.open_replica(folder, options)
-    if any(name.endswith(("_rgb.jpg", "_rgb.png")) for name in names):
-        return folder_layouts.open_hope(folder, options)
-    if folder_layouts.CAM_PARAMS in names or folder_layouts.CAMERA_POSES in names:
-        return folder_layouts.open_posed_folder(folder, options)
-    return None
+    raise unknown_folder(folder, _KINDS)

@@ -88,15 +88,15 @@ def _mark(
     scene: Scene,
     seen: dict[int, NDArray[np.bool_]],
 ) -> None:
-    instances = instances_of(truth, frame)
+    instances, camera = instances_of(truth, frame), frame.camera or truth.camera
     camera_from_world, eye = invert(frame.world_from_camera), frame.world_from_camera[:3, 3]
     for i, surface in surfaces.items():
         open_ = np.flatnonzero(~seen[i])
         points_camera = apply(camera_from_world, surface.samples[open_])
         near = (points_camera[:, 2] > _RANGE_M[0]) & (points_camera[:, 2] < _RANGE_M[1])
         open_, points_camera = open_[near], points_camera[near]
-        uv = np.round(project(points_camera, truth.camera)).astype(np.int64)
-        inside = (uv >= 0).all(axis=1) & (uv < (truth.camera.width, truth.camera.height)).all(axis=1)
+        uv = np.round(project(points_camera, camera)).astype(np.int64)
+        inside = (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
         open_, uv = open_[inside], uv[inside]
         shows = instances[uv[:, 1], uv[:, 0]] == i
         open_ = open_[shows]

@@ -6,6 +6,7 @@ The format number changes when a reader would misread the file. Poses are exact;
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,8 @@ class TruthFrame:
     stamp_ns: int
     world_from_camera: NDArray[np.float64]
     instances: str
+    #: None: the truth's
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", np.float64, (4, 4))
@@ -80,6 +83,10 @@ class Truth:
     change: TruthChange | None = None
     #: (4, 4) to the world of the poses, None if it is the same
     world_from_folder: NDArray[np.float64] | None = None
+    #: by the names that objects and structure have for them; of a data set (`data_sets`), whose folder has no GLB
+    meshes: Mapping[str, Mesh] | None = None
+    #: how the instances of a frame are found without an image in the folder
+    paint: Callable[[TruthFrame], NDArray[np.uint16]] | None = None
 
 
 def load_truth(folder: Path) -> Truth:
@@ -105,12 +112,12 @@ def load_truth(folder: Path) -> Truth:
 
 def mesh_of(truth: Truth, item: TruthObject) -> Mesh:
     """Return the mesh of an object in its own frame; raises `RecordingError` if it cannot be read."""
-    return _mesh_at(truth.folder, item.mesh)
+    return _mesh_at(truth, item.mesh)
 
 
 def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
     """Return floor, walls and the like in the world of the poses; raises `RecordingError` if a file cannot be read."""
-    meshes = tuple(_mesh_at(truth.folder, path) for path in truth.structure)
+    meshes = tuple(_mesh_at(truth, path) for path in truth.structure)
     if truth.world_from_folder is None:
         return meshes
     return tuple(moved_mesh(mesh, truth.world_from_folder) for mesh in meshes)
@@ -142,6 +149,8 @@ def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
     """Return the (H, W) object id of each pixel, 0 for none; raises `RecordingError` for a missing or damaged image."""
     import cv2
 
+    if truth.paint is not None:
+        return truth.paint(frame)
     try:
         path = path_within(truth.folder, frame.instances)
     except OutsideError as error:
@@ -241,11 +250,15 @@ def _pose(rows: Any) -> NDArray[np.float64]:
     return a_from_b
 
 
-def _mesh_at(folder: Path, name: str) -> Mesh:
+def _mesh_at(truth: Truth, name: str) -> Mesh:
+    if truth.meshes is not None:
+        return truth.meshes[name]
     try:
-        return mesh_of_glb(read_within(folder, name))
+        return mesh_of_glb(read_within(truth.folder, name))
     except (OSError, ValueError) as error:
-        raise RecordingError(f"{folder / name} cannot be read as a mesh: {error}. Make the recording again") from error
+        raise RecordingError(
+            f"{truth.folder / name} cannot be read as a mesh: {error}. Make the recording again"
+        ) from error
 
 
 def frame_at(stamps: NDArray[np.int64], stamp_ns: int) -> int | None:

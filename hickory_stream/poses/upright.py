@@ -15,7 +15,7 @@ _LEVEL_COSINE = np.cos(np.radians(6.0))
 _UPRIGHT_COSINE = np.sin(np.radians(6.0))
 _LEAST_LEVEL_SHARE = 0.05
 _LEAST_SHARE = 0.35
-_POINTS_M = 0.05
+_POINTS_M, _LEAST_POINTS = 0.05, 100
 _CANDIDATES = 400
 _ROUNDS = 3
 
@@ -28,10 +28,12 @@ def up_in(scan: Scan, rough_up: NDArray[np.float64]) -> NDArray[np.float64] | No
     """
     import small_gicp
 
+    if len(scan.points) < _LEAST_POINTS:
+        return None
     cloud, _ = small_gicp.preprocess_points(scan.points.astype(np.float64), _POINTS_M, 20, 1)
     normals = np.asarray(cloud.normals())[:, :3] if cloud.size() else np.empty((0, 3))
     normals = normals[np.isfinite(normals).all(axis=1) & (np.abs((normals * normals).sum(axis=1) - 1) < 0.1)]
-    if len(normals) < 100:
+    if len(normals) < _LEAST_POINTS:
         return None
     rough = rough_up / np.sqrt((rough_up * rough_up).sum())
     facing = normals * np.where((normals * rough).sum(axis=1) < 0, -1.0, 1.0)[:, None]

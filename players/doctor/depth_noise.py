@@ -193,7 +193,8 @@ def _floor_of(patches: FlatPatches) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 def _law_of(z: NDArray[np.float64], sigma: NDArray[np.float64]) -> tuple[float, float]:
     # Non-negative (constant, quadratic) coefficients with the least relative error.
-    weight = 1.0 / (sigma * sigma)
+    # Rendered depth may have no noise at all.
+    weight = 1.0 / np.maximum(sigma * sigma, 1e-12)
     z2 = z * z
     a, b, c = weight.sum(), (weight * z2).sum(), (weight * z2 * z2).sum()
     p, q = (weight * sigma).sum(), (weight * z2 * sigma).sum()

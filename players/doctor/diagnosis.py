@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.errors import InputError, NoPosesError, RecordingError
+from hickory_stream.errors import InputError, NoPosesError, RecordingError, UnknownLogError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, motion
 from hickory_stream.poses.hand_eye import NoHandEye
@@ -22,7 +22,8 @@ from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.stream_stats import StreamStats, nearest_ms
-from players.logs.folder import FolderSource
+from players.logs.layouts.folder import FolderSource
+from players.logs.layouts.table import opener_of
 from players.logs.log_opening import open_log, read_opening
 from players.logs.log_source import LogSource
 from players.opening import open_container, open_source
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
 SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
 
-_ENDS_S = 2.0
+_ENDS_S, _OWN_CLOCK_S = 2.0, 1e9
 _SAMPLES = 12
 # A frame with a larger share of missing depth is not examined for a floor.
 _NO_DEPTH = 0.9
@@ -96,14 +97,19 @@ def examine(
     paths = [Path(uri) for uri in uris]
     found = Diagnosis(uri=" ".join(str(path) for path in paths))
     try:
-        if _is_image_folder(paths):
+        if len(paths) == 1 and opener_of(paths[0]) is not None:
             source = open_source(list(paths), options)
             progress("reading as play does")
             found.kind, found.streams = source.info.kind, dict(source.info.streams)
-            found.num_bytes = source.num_bytes() if isinstance(source, FolderSource) else 0
+            if isinstance(source, FolderSource):
+                found.num_bytes = source.num_bytes()
+                found.notes += source.content.flaws
             examine_frames(found, source, {})
             return found
         log = open_container(*paths)
+    except UnknownLogError as error:
+        found.refusal, found.notes = error.found, list(error.nearest)
+        return found
     except InputError as error:
         found.refusal = str(error)
         return found
@@ -136,13 +142,6 @@ def examine_log(
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
     return found
-
-
-def _is_image_folder(paths: Sequence[Path]) -> bool:
-    if len(paths) != 1 or not paths[0].is_dir():
-        return False
-    suffixes = {file.suffix for file in paths[0].rglob("*") if file.is_file()}
-    return bool(suffixes & {".png", ".jpg", ".jpeg"}) and not suffixes & {".mcap", ".bag", ".db3"}
 
 
 def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
@@ -380,7 +379,12 @@ def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
                 f"{name}: stamps go back by {figures['worst_step_back_s']} s: a looped log or a set clock"
             )
         # How far a robot's clock is from ours is one figure, which its status has.
-        if abs(figures.get("log_offset_s") or 0) > 1.0 and not figures.get("unset_stamps") and not is_heard:
+        # Some recorders count from zero.
+        if (
+            1.0 < abs(figures.get("log_offset_s") or 0) < _OWN_CLOCK_S
+            and not figures.get("unset_stamps")
+            and not is_heard
+        ):
             found.notes.append(f"{name}: recorded {figures['log_offset_s']} s after its header stamps")
         if figures["type"] == "":
             found.notes.append(f"{name}: its type is not known; it is skipped")

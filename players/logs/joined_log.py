@@ -31,6 +31,7 @@ class JoinedLog:
         self.logs = tuple(logs)
         self.files = tuple(file for log in logs for file in log.files)
         self.topics = merged_topics([topic for log in logs for topic in log.topics])
+        self.profile = next((profile for log in logs if (profile := getattr(log, "profile", None))), None)
         self.unreadable: tuple[str, ...] = ()
         """Files of the log that cannot be read at all, with the reason."""
         self._topic_of = [{topic.name: topic for topic in log.topics} for log in logs]

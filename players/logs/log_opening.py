@@ -167,7 +167,8 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
     """
     if not any(topic.num_messages != 0 for topic in log.topics):
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
-    profile, is_guessed = choose_profile(log.topics, options)
+    own = getattr(log, "profile", None) if options.profile is None and options.robot is None else None
+    profile, is_guessed = (own, False) if own is not None else choose_profile(log.topics, options)
     topics = discovery.choose_images(log.path, log.topics, options, profile.topics)
     poses = [] if options.pose_file else _pose_topics(log, options, profile)
     is_named = options.pose_topic not in (None, NO_TOPIC) or (

@@ -19,6 +19,7 @@ from hickory_stream.errors import RecordingError
 from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
 from players.logs.decompression import UnpackError, release, unpack
 from players.logs.log_damage import Flaws
+from players.profile import Profile
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -56,6 +57,8 @@ class Ros1Log:
     """A `Log` in one ROS 1 bag."""
 
     kind = "ROS 1 bag"
+    #: What its writer is known for, if messages of the bag describe its cameras.
+    profile: Profile | None = None
     #: None of the bag; bz2 and (optionally) lz4 have their own.
     checksum = ""
 

@@ -17,7 +17,9 @@ from hickory_stream.geometry.camera import Camera
 from players.messages.records import CameraInfo
 
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt4")
-_RADIAL = ("plumb_bob", "rational_polynomial", "")
+# librealsense's three kinds of Brown and Conrady: its inverse one is today computed as the plain one.
+_REALSENSE = ("brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
+_RADIAL = ("plumb_bob", "rational_polynomial", "", *_REALSENSE)
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ def lens_of(info: CameraInfo, *, topic: str, image_size: tuple[int, int] | None,
     camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
     if is_rectified or not any(distortion):
         return Lens(camera)
-    if info.distortion_model not in (*_FISHEYE, *_RADIAL):
+    model = info.distortion_model.lower().replace(" ", "_")
+    if model not in (*_FISHEYE, *_RADIAL):
         known = ", ".join((*_RADIAL[:2], *_FISHEYE))
         raise CalibrationError(f"{topic} has the distortion model {info.distortion_model!r}; known are {known}")
-    return Lens(camera, distortion, info.distortion_model in _FISHEYE)
+    return Lens(camera, distortion, model in _FISHEYE)

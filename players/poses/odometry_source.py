@@ -53,7 +53,7 @@ class OdometrySource(SourceAround):
         connects it to the camera; `ModelError`: the method's library is not installed.
         """
         super().__init__(source)
-        self._sensor = sensor
+        self.sensor = sensor
         self._method = method
         self._counts: Counter[str] = Counter()
         self._resumes_at: tuple[int, NDArray[np.float64]] | None = None
@@ -78,7 +78,7 @@ class OdometrySource(SourceAround):
     @property
     def poses_by(self) -> str:
         """The names of the method and the sensor."""
-        return f"{self._name} on {self._sensor}"
+        return f"{self._name} on {self.sensor}"
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames that have a pose, from the beginning; each call repeats the estimation."""
@@ -225,7 +225,7 @@ class _Results:
         return found
 
 
-def with_odometry(source: Source, choice: OdometryChoice) -> Source:
+def with_odometry(source: Source, choice: OdometryChoice) -> OdometrySource:
     """Return a source that estimates its poses by the named sensor or method; a method uses LiDAR, else depth.
 
     Raises `HickoryError`: as `OdometrySource` does.

@@ -33,7 +33,7 @@ def test_a_file_of_another_kind_is_told_with_its_first_bytes(tmp_path):
 
 def test_an_unknown_folder_layout_is_refused_with_its_contents(tmp_path):
     (tmp_path / "notes.txt").touch()
-    with pytest.raises(RecordingError, match=r"no log that is known; found notes\.txt; expected"):
+    with pytest.raises(RecordingError, match=r"no log that is known: found 1 \.txt \(such as notes\.txt\); expected"):
         open_source(tmp_path)
 
 

@@ -13,6 +13,8 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.worlds import ros_messages
 from hickory_stream.worlds.zed_log import COLOR_ENCODING, DepthView, LogWriter, ZedLog, encode_jpeg
+from tools.worlds.container_layouts import CONTAINER_LOGS
+from tools.worlds.image_folders import FOLDER_LOGS
 
 
 class RosMessages(ros_messages.RosMessages):
@@ -44,7 +46,7 @@ class RosMessages(ros_messages.RosMessages):
         )  # fmt: skip
 
 
-LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg")
+LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg", *FOLDER_LOGS, *CONTAINER_LOGS)
 
 _FLU_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -53,14 +55,16 @@ def layout_files(layout: str, name: str) -> tuple[str, ...]:
     """Return the files or folders of a recording in a layout, beginning with the one to play."""
     if layout == "kimera_multi":
         return f"{name}.bag", f"{name}_vio.bag"
-    return (f"{name}.mcap",) if layout == "zed" else (name,)
+    return (f"{name}.mcap",) if layout == "zed" else (f"{name}{getattr(CONTAINER_LOGS.get(layout), 'ending', '')}",)
 
 
 def layout_camera(layout: str, camera: Camera) -> Camera:
     """Return the colour camera of a layout for images of the size of `camera`; some layouts have fixed intrinsics."""
-    if layout != "kimera_multi":
-        return camera
-    return _resized(Camera(width=640, height=480, fx=372.4634, fy=371.5072, cx=315.9902, cy=254.5944), camera)
+    if layout == "kimera_multi":
+        return _resized(Camera(width=640, height=480, fx=372.4634, fy=371.5072, cx=315.9902, cy=254.5944), camera)
+    if layout == "icl_nuim":
+        return _resized(Camera(width=640, height=480, fx=481.2, fy=480.0, cx=319.5, cy=239.5), camera)
+    return camera
 
 
 def drawn_mounting(seed: int) -> NDArray[np.float64]:
@@ -80,9 +84,13 @@ def open_layout(
     """Return the writer of a layout; `mounting` is body_from_camera (4, 4) of a NUS-CLB robot, None: one origin."""
     if layout == "kimera_multi":
         return KimeraMultiLog(folder, name, camera, jpeg_quality)
+    if layout in FOLDER_LOGS:
+        return FOLDER_LOGS[layout](folder / name, camera, jpeg_quality)
     if layout.startswith("nus_clb"):
         quality = jpeg_quality if layout.endswith("jpeg") else None
         return NusClbLog(folder / name, name, camera, quality, end_ns, mounting)
+    if layout in CONTAINER_LOGS:
+        return CONTAINER_LOGS[layout](folder / layout_files(layout, name)[0], camera, jpeg_quality)
     return ZedLog(folder / f"{name}.mcap", camera, jpeg_quality)
 
 

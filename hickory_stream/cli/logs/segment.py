@@ -125,8 +125,8 @@ def _frame(options: argparse.Namespace) -> Frame:
 
 
 def _depth_camera(options: argparse.Namespace, profile: Profile, width: int, height: int) -> Camera:
-    from players.logs.folder_layouts import INTRINSICS
-    from players.logs.folder_text import read_intrinsics
+    from players.logs.layouts.folder_text import read_intrinsics
+    from players.logs.layouts.plain_folders import INTRINSICS
 
     if options.intrinsics is not None:
         return _camera(options.intrinsics, width, height)

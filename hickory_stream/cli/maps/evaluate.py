@@ -15,13 +15,17 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
+    from hickory_stream.evaluation.match import TrueBox
 
 
 def add(commands: Commands) -> None:
     evaluate = commands.add("evaluate", run)
     evaluate.add_argument("map", type=Path, metavar="MAP", nargs="?")
     evaluate.add_argument(
-        "--truth", type=Path, metavar="DIR|FILE", help="truth folder of the log, or boxes labelled by hand"
+        "--truth",
+        type=Path,
+        metavar="DIR|FILE",
+        help="truth of the log: a folder, a data set, or boxes labelled by hand",
     )
     evaluate.add_argument("--explain", action="store_true", help="define every figure")
     add_output(evaluate, "--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
@@ -37,14 +41,15 @@ def run(options: argparse.Namespace) -> int:
     if options.map is None or options.truth is None:
         raise InputError("evaluate needs a MAP and --truth DIR, or --explain alone")
     from hickory_stream.cli.option_values import open_map_at
+    from hickory_stream.evaluation.data_sets import open_boxes, open_truth
     from hickory_stream.evaluation.evaluate import evaluate
-    from hickory_stream.evaluation.labels import LABELS_FILE
-    from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
+    from hickory_stream.evaluation.truth import TRUTH_FILE
 
     folder: Path = options.truth.parent if options.truth.name == TRUTH_FILE else options.truth
-    if folder.is_file() or ((folder / LABELS_FILE).is_file() and not (folder / TRUTH_FILE).is_file()):
-        return _labels(options)
-    saved, truth = open_map_at(options.map), load_truth(folder)
+    boxes = open_boxes(folder)
+    if boxes is not None:
+        return _labels(options, boxes)
+    saved, truth = open_map_at(options.map), open_truth(folder)
     evaluation = evaluate(saved, truth)
     if options.html is not None:
         from hickory_stream.evaluation.page import write_page
@@ -55,15 +60,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _labels(options: argparse.Namespace) -> int:
+def _labels(options: argparse.Namespace, labels: tuple[TrueBox, ...]) -> int:
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.evaluation.explain import format_labels
-    from hickory_stream.evaluation.labels import load_labels, score_labels
+    from hickory_stream.evaluation.labels import score_labels
     from hickory_stream.evaluation.match import meshes_of
 
     if options.html is not None:
         raise InputError("found --html with labelled boxes, expected a truth folder: boxes have no surfaces to show")
-    labels = load_labels(options.truth)
     saved = open_map_at(options.map)
     score = score_labels(saved.snapshot, meshes_of(saved), labels)
     if score.num_objects and len(score.stray_ids) == score.num_objects:

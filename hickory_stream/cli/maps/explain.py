@@ -41,11 +41,11 @@ def _truth(options: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from hickory_stream.cli.option_values import open_map_at
-    from hickory_stream.evaluation.truth import load_truth
+    from hickory_stream.evaluation.data_sets import open_truth
     from hickory_stream.evaluation.why import investigate, story_of, why_of
     from hickory_stream.evaluation.why_text import object_text, why_text
 
-    truth = load_truth(options.truth)
+    truth = open_truth(options.truth)
     if options.object is not None and options.object not in {item.id for item in truth.objects}:
         known = ", ".join(str(item.id) for item in truth.objects)
         raise InputError(f"found --object {options.object}, expected the id of a true object: {known}")

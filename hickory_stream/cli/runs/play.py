@@ -104,7 +104,7 @@ def add(commands: Commands) -> None:
     play.add_argument(
         "source",
         nargs="*",
-        help="MCAP file, ROS 1 or ROS 2 bag, or folder of images; several are played as one log; "
+        help="MCAP file, ROS 1 or ROS 2 bag, .sens, .r3d, or folder of images; several are played as one log; "
         "without a log: --robot NAME=LOG for each robot of a fleet",
     )
     play.add_argument("--out", type=Path, metavar="MAP", help="map folder to write (default: NAME.map)")

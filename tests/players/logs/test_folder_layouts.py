@@ -175,7 +175,7 @@ def test_a_profile_with_a_mistake_is_refused(seven, tmp_path, text, message):
 
 
 def test_an_unknown_profile_is_refused_with_the_known_ones(seven):
-    with pytest.raises(CalibrationError, match=r"no profile 'kinect'; there are hope, kimera_multi, .*, tum, zed"):
+    with pytest.raises(CalibrationError, match=r"no profile 'kinect'; there are arkit_scenes, bop, hope, .*, tum, zed"):
         open_source(seven, SourceOptions(profile="kinect"))
 
 

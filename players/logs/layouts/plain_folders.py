@@ -1,34 +1,21 @@
-"""Layouts of image folders: 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files.
-
-The world is z up. `gravity-direction.txt` (the unit vector down) turns the log's world upright.
-Without one, the log's z axis is taken to be up.
-"""
+"""Readers of 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files."""
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
-from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
-from players.logs import folder_text
-from players.logs.folder import FolderContent, FolderFrame, FolderSource
-from players.logs.synchronizer import Leftover, Stamped, default_tolerance_ns, pair_nearest
-from players.messages.depth_registration import Registration
-from players.messages.image_decoding import compressed_size
+from players.logs.layouts import folder_text
+from players.logs.layouts.folder import FolderSource
+from players.logs.layouts.frame_collector import FrameCollector, by_number, color_files
+from players.logs.synchronizer import default_tolerance_ns
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
-from players.profile import Intrinsics, Profile, load_profile
+from players.profile import load_profile
 
 INTRINSICS = "camera-intrinsics.txt"
 CAM_PARAMS = "cam_params.json"
 CAMERA_POSES = "camera_poses.txt"
 TRAJECTORY = "traj.txt"
-_COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
 def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
@@ -40,10 +27,10 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     profile_name = options.profile or "seven_scenes"
     profile = load_profile(profile_name)
     depth_intrinsics = folder_text.read_intrinsics(folder / INTRINSICS)
-    poses = _by_number(folder.glob("frame-*.pose.txt"))
-    colors = _by_number(file for file in folder.glob("frame-*.color.*") if file.suffix in _COLOR_SUFFIXES)
-    depths = _by_number(folder.glob("frame-*.depth.png"))
-    found = _Collector(folder, profile, options)
+    poses = by_number(folder.glob("frame-*.pose.txt"))
+    colors = color_files(folder, "frame-*.color.*")
+    depths = by_number(folder.glob("frame-*.depth.png"))
+    found = FrameCollector(folder, profile, options)
     found.add_numbered(colors, depths, {i: folder_text.read_pose_file(file) for i, file in poses.items()})
     return found.source(
         kind="7-Scenes folder",
@@ -91,15 +78,8 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     track = None
     if has_poses:
         track = folder_text.read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
-    found = _Collector(folder, profile, options)
-    stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
-    for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
-        if isinstance(match, Leftover):
-            is_color = match.stream == "color"
-            found.add(match.stamp_ns, match.item if is_color else None, None if is_color else match.item, None)
-        else:
-            pose = track.at(match.stamp_ns) if track is not None else None
-            found.add(match.stamp_ns, match.color, match.depth, pose)
+    found = FrameCollector(folder, profile, options)
+    found.add_stamped(images["rgb"], images["depth"], tolerance_ns, track.at if track is not None else lambda ns: None)
     return found.source(
         kind="TUM RGB-D folder",
         depth_intrinsics=intrinsics,
@@ -128,14 +108,14 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
             raise error(f"{folder} has no {name}; the layout is rgb/, depth/, {CAM_PARAMS} and {CAMERA_POSES}")
     intrinsics, units_per_m = folder_text.read_cam_params(folder / CAM_PARAMS)
     poses = folder_text.read_pose_rows(folder / CAMERA_POSES)
-    colors = _by_number(file for file in (folder / "rgb").glob("*") if file.suffix in _COLOR_SUFFIXES)
-    depths = _by_number((folder / "depth").glob("*.png"))
+    colors = color_files(folder / "rgb")
+    depths = by_number((folder / "depth").glob("*.png"))
     numbers = sorted(colors.keys() | depths.keys())
     if len(poses) != len(numbers):
         raise RecordingError(
             f"{folder}: {len(poses)} poses in {CAMERA_POSES} for {len(numbers)} images; expected as many"
         )
-    found = _Collector(folder, profile, options)
+    found = FrameCollector(folder, profile, options)
     for i, (number, pose) in enumerate(zip(numbers, poses, strict=True)):
         found.add(i * 1_000_000_000 // profile.frame_rate_hz, colors.get(number), depths.get(number), pose)
     return found.source(
@@ -166,9 +146,9 @@ def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
     if intrinsics is None:
         raise CalibrationError(f"{folder} has no {CAM_PARAMS}, and the profile {profile.name} has no intrinsics")
     poses = folder_text.read_pose_rows(folder / TRAJECTORY)
-    colors = _by_number(file for file in (folder / "results").glob("frame*") if file.suffix in _COLOR_SUFFIXES)
-    depths = _by_number((folder / "results").glob("depth*.png"))
-    found = _Collector(folder, profile, options)
+    colors = color_files(folder / "results", "frame*")
+    depths = by_number((folder / "results").glob("depth*.png"))
+    found = FrameCollector(folder, profile, options)
     found.add_numbered(colors, depths, dict(enumerate(poses)))
     return found.source(
         kind="Replica folder",
@@ -191,15 +171,15 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
     The extrinsics are camera_from_world in the profile's units; frames without a json have no pose.
     """
     profile = load_profile(options.profile or "hope")
-    colors = _by_number(file for file in folder.glob("*_rgb.*") if file.suffix in _COLOR_SUFFIXES)
-    depths = _by_number(folder.glob("*_depth.png"))
-    jsons = _by_number(folder.glob("*.json"))
+    colors = color_files(folder, "*_rgb.*")
+    depths = by_number(folder.glob("*_depth.png"))
+    jsons = by_number(folder.glob("*.json"))
     units_per_m = profile.extrinsics_units_per_m
     numbers = sorted(jsons.keys() & (colors.keys() | depths.keys()))
     cameras = {number: folder_text.read_hope_camera(jsons[number], units_per_m) for number in numbers}
     if not cameras:
         raise CalibrationError(f"{folder} has no NNNN.json with camera.intrinsics beside its {len(colors)} images")
-    found = _Collector(folder, profile, options)
+    found = FrameCollector(folder, profile, options)
     found.add_numbered(colors, depths, {number: pose for number, (_, pose) in cameras.items()})
     return found.source(
         kind="HOPE folder",
@@ -213,106 +193,3 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
         },
         text_files=[jsons[number] for number in sorted(jsons)],
     )
-
-
-class _Collector:
-    def __init__(self, folder: Path, profile: Profile, options: SourceOptions) -> None:
-        self._folder = folder
-        self._estimates_poses = options.estimates_poses
-        self._ignores_poses = options.pose_topic == NO_TOPIC
-        self._world_from_log = folder_text.read_world_from_log(folder)
-        self._up = folder_text.GRAVITY if (folder / folder_text.GRAVITY).is_file() else "z of the log"
-        self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
-        self._depth_from_color = invert(self._color_from_depth)
-        self._profile = profile
-        self._frames: list[FolderFrame] = []
-        self._fates: Counter[str] = Counter()
-        self._unposed_ns: list[int] = []
-
-    @property
-    def clock(self) -> str:
-        return f"number in the name / {self._profile.frame_rate_hz} Hz"
-
-    def add_numbered(
-        self, colors: Mapping[int, Path], depths: Mapping[int, Path], poses: Mapping[int, NDArray[np.float64] | None]
-    ) -> None:
-        for number in sorted(colors.keys() | depths.keys()):
-            stamp_ns = number * 1_000_000_000 // self._profile.frame_rate_hz
-            self.add(stamp_ns, colors.get(number), depths.get(number), poses.get(number))
-
-    def add(
-        self, stamp_ns: int, color: Path | None, depth: Path | None, log_from_depth: NDArray[np.float64] | None
-    ) -> None:
-        if color is None or not color.is_file():
-            self._fates["depth_without_color"] += 1
-        elif depth is None or not depth.is_file():
-            self._fates["color_without_depth"] += 1
-        elif (log_from_depth is None or self._ignores_poses) and not self._estimates_poses:
-            self._fates["no_pose"] += 1
-            self._unposed_ns.append(stamp_ns)
-        else:
-            world_from_camera = None
-            if log_from_depth is not None and not self._ignores_poses:
-                world_from_camera = compose(self._world_from_log, log_from_depth, self._depth_from_color)
-            self._frames.append(
-                FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=world_from_camera)
-            )
-
-    def source(
-        self,
-        *,
-        kind: str,
-        depth_intrinsics: Intrinsics,
-        streams: dict[str, str],
-        text_files: list[Path],
-        color_intrinsics: Intrinsics | None = None,
-        depth_units_per_m: float | None = None,
-        pose_span_ns: tuple[int, int] | None = None,
-    ) -> FolderSource:
-        if not self._frames:
-            error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
-            raise error(self._why_empty(pose_span_ns))
-        first = self._frames[0]
-        registration = Registration(
-            depth_camera=depth_intrinsics.camera(_size_of(first.depth)),
-            color_camera=(color_intrinsics or depth_intrinsics).camera(_size_of(first.color)),
-            color_from_depth=self._color_from_depth,
-        )
-        content = FolderContent(
-            kind=kind,
-            registration=registration,
-            depth_units_per_m=depth_units_per_m or self._profile.depth_units_per_m,
-            sensor=self._profile.sensor,
-            frames=tuple(self._frames),
-            fates=dict(self._fates),
-            streams=(*streams.items(), ("up", self._up)),
-            text_files=tuple(text_files),
-        )
-        return FolderSource(self._folder, content)
-
-    def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
-        if self._unposed_ns and pose_span_ns is not None:
-            first_ns, last_ns = min(self._unposed_ns), max(self._unposed_ns)
-            return (
-                f"{self._folder}: no image has a pose: images from {first_ns / 1e9:.3f} s to {last_ns / 1e9:.3f} s, "
-                f"poses from {pose_span_ns[0] / 1e9:.3f} s to {pose_span_ns[1] / 1e9:.3f} s"
-            )
-        found = ", ".join(f"{number} {fate}" for fate, number in sorted(self._fates.items())) or "no images"
-        return f"{self._folder}: no frame has colour, depth and a pose; found {found}"
-
-
-def _by_number(files: Iterable[Path]) -> dict[int, Path]:
-    # frame-000012.color.jpg: 12
-    numbered = {}
-    for file in sorted(files):
-        digits = re.findall(r"\d+", file.name.split(".")[0])
-        if digits:
-            numbered[int(digits[-1])] = file
-    return numbered
-
-
-def _size_of(file: Path) -> tuple[int, int]:
-    size = compressed_size(file.read_bytes()[: 1 << 16])
-    if size is None:
-        raise RecordingError(f"{file} is neither JPEG nor PNG, or is torn")
-    return size

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.errors import CalibrationError, InputError, RecordingError
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from players.poses.interpolation import PoseTrack, is_pose_row, nearest_rigid, track_of, world_from_down
 from players.profile import Intrinsics
 
 GRAVITY = "gravity-direction.txt"
+
+
+@contextmanager
+def expecting(file: Path, expected: str, error: type[InputError] = RecordingError) -> Iterator[None]:
+    """Turn whatever a malformed value raises into an error with the file, the value and what was expected."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as cause:
+        raise error(f"{file}: {cause!r:.200}; expected {expected}") from cause
 
 
 def read_text(file: Path) -> str:
@@ -40,16 +50,24 @@ def read_numbers(file: Path) -> NDArray[np.float64]:
 
 
 def read_intrinsics(file: Path) -> Intrinsics:
-    """Return the intrinsics of a text file with a 3x3 matrix K, row by row.
+    """Return the intrinsics of a text file with a 3x3 or 4x4 matrix K, row by row.
 
     Raises `CalibrationError`: the file is missing or holds no such matrix.
     """
     if not file.is_file():
         raise CalibrationError(f"{file.parent} has no {file.name}; it must hold the 3x3 intrinsics of the depth camera")
     numbers = read_numbers(file)
-    if numbers.size != 9 or not (numbers[0] > 0 and numbers[4] > 0 and np.isfinite(numbers).all()):
+    if numbers.size not in (9, 16):
         raise CalibrationError(f"{file}: {numbers.size} numbers; expected a 3x3 matrix with positive focal lengths")
-    return Intrinsics(fx=float(numbers[0]), fy=float(numbers[4]), cx=float(numbers[2]), cy=float(numbers[5]))
+    with expecting(file, "a 3x3 matrix with positive focal lengths", CalibrationError):
+        return intrinsics_of(numbers)
+
+
+def intrinsics_of(numbers: Any) -> Intrinsics:
+    """Return the intrinsics of a 3x3 or 4x4 matrix K, or of its numbers by rows. Raises `ValueError`: it is none."""
+    flat = np.asarray(numbers, dtype=np.float64).ravel()
+    k = flat.reshape(3 if flat.size == 9 else 4, -1)
+    return Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
 
 
 def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
@@ -60,7 +78,7 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
 
     Raises `CalibrationError`: the file cannot be read or a value is missing.
     """
-    try:
+    with expecting(file, "fx, fy, cx, cy (or K) and scale, in JSON", CalibrationError):
         table: dict[str, Any] = json.loads(read_text(file))
         table = table.get("camera", table)
         if "K" in table:
@@ -69,8 +87,6 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
             fx, fy, cx, cy = (float(table[name]) for name in ("fx", "fy", "cx", "cy"))
         names = ("depth_units_per_m", "depth_scale", "scale")
         units_per_m = next((float(table[name]) for name in names if name in table), 1000.0)
-    except (ValueError, TypeError, AttributeError, KeyError) as error:
-        raise CalibrationError(f"{file}: {error!r}; expected fx, fy, cx, cy (or K) and scale, in JSON") from error
     # Some files give the scale as metres per unit, which is below one.
     units_per_m = 1.0 / units_per_m if 0 < units_per_m < 1 else units_per_m
     if not (fx > 0 and fy > 0 and units_per_m > 0):
@@ -94,7 +110,7 @@ def read_world_from_log(folder: Path) -> NDArray[np.float64]:
 
 def read_pose_file(file: Path) -> NDArray[np.float64] | None:
     """Return the pose of a file with a 4x4 or 3x4 matrix, None if it is invalid (NaN where tracking was lost)."""
-    return _rigid_of_row(read_numbers(file))
+    return rigid_of(read_numbers(file))
 
 
 def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArray[np.float64] | None]:
@@ -102,14 +118,11 @@ def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArra
 
     Raises `CalibrationError`: it cannot be read, or has no intrinsics.
     """
-    try:
+    expected = "camera.intrinsics (3x3) and camera.extrinsics (4x4, camera from world)"
+    with expecting(file, expected, CalibrationError):
         camera = json.loads(read_text(file))["camera"]
         k = np.asarray(camera["intrinsics"], dtype=np.float64).reshape(3, 3)
         camera_from_world = np.asarray(camera["extrinsics"], dtype=np.float64).reshape(4, 4)
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(
-            f"{file}: {error!r}; expected camera.intrinsics (3x3) and camera.extrinsics (4x4, camera from world)"
-        ) from error
     intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
     rigid = nearest_rigid(camera_from_world)
     if rigid is None or not (k[0, 0] > 0 and k[1, 1] > 0):
@@ -135,7 +148,7 @@ def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:
             raise RecordingError(
                 f"{file}, line {number}: {row.size} numbers; expected 16 or 12, world_from_camera by rows"
             )
-        poses.append(_rigid_of_row(row))
+        poses.append(rigid_of(row))
     return poses
 
 
@@ -177,5 +190,6 @@ def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
     return track
 
 
-def _rigid_of_row(row: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    return nearest_rigid(row.reshape(-1, 4)[:3]) if row.size in (12, 16) else None
+def rigid_of(numbers: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the transform (4, 4) of 16 or 12 numbers by rows, None if they are no rigid transform."""
+    return nearest_rigid(numbers.reshape(-1, 4)[:3]) if numbers.size in (12, 16) else None

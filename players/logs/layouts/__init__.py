@@ -1,0 +1,1 @@
+"""Layouts of image folders: the table that recognises them, and their readers."""
