@@ -6,6 +6,7 @@
     |   |   `-- RangeError          a number outside of its range
     |   |-- RecordingError          a log that cannot be read or mapped
     |   |   |-- NoPosesError        a log without poses, for odometry
+    |   |   |-- EmptyMapError       a log of which nothing could be mapped; exit status 3
     |   |   `-- UnknownLogError     a path that is no log of a known kind
     |   |-- CalibrationError        missing intrinsics or extrinsics, or a contradiction to the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
@@ -48,6 +49,12 @@ class RecordingError(InputError):
 
 class NoPosesError(RecordingError):
     """A log without poses; odometry can estimate them."""
+
+
+class EmptyMapError(RecordingError):
+    """A log that was read to its end, and of which nothing could be mapped."""
+
+    exit_status = 3
 
 
 class UnknownLogError(RecordingError):

@@ -128,20 +128,22 @@ def _is_disk_full(error: BaseException | None) -> bool:
 
 
 def _told(task: LogTask, played: Played, worker: str, wall_s: float, *, resumes: bool) -> LogOutcome:
+    from hickory_stream.map_folder.history.candidates import why_no_objects
     from hickory_stream.map_folder.manifest import read_json
     from players.doctor.report import damage_line
 
     ledger = read_json(task.out, "ledger.json")
     frames = ledger.get("frames", {})
+    objects = 0 if played.snapshot is None else len(played.snapshot.objects)
     children, own = os.times(), time.process_time()
     return LogOutcome(
         name=task.name,
         state="mapped",
-        reason=damage_line(ledger),
+        reason="; ".join(filter(None, (damage_line(ledger), "" if objects else why_no_objects(task.out)))),
         digest=played.digest,
         processor=played.processor,
         keyframes=int(frames.get("keyframes", 0)),
-        objects=0 if played.snapshot is None else len(played.snapshot.objects),
+        objects=objects,
         wall_s=wall_s,
         cpu_s=own + children.children_user + children.children_system,
         map_mb=sum(path.stat().st_size for path in task.out.rglob("*") if path.is_file()) / 1e6,

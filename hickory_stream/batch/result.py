@@ -59,5 +59,5 @@ class BatchResult:
 
     @property
     def is_whole(self) -> bool:
-        """Whether every log is mapped."""
-        return all(row.outcome.state == "mapped" for row in self.rows)
+        """Whether every log is mapped, and has objects."""
+        return all(row.outcome.state == "mapped" and row.outcome.objects for row in self.rows)

@@ -29,7 +29,7 @@ from hickory_stream.engine.shape_jobs.choose import make_workers
 from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, ShapeWorkers
 from hickory_stream.engine.shape_jobs.processor import processor_kind, processor_of_run
 from hickory_stream.engine.warm_up import rehearse
-from hickory_stream.errors import InputError, MapFolderError, RecordingError
+from hickory_stream.errors import EmptyMapError, InputError, MapFolderError
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.recorded_config import resumed_config
 from hickory_stream.map_folder.history.resume import ResumePoint, reopen
@@ -348,7 +348,7 @@ class Mapper:
         reason = why_empty(parts.source, run)
         if reason is not None:
             await asyncio.to_thread(shutil.rmtree, parts.folder.path, ignore_errors=True)
-            raise RecordingError(reason)
+            raise EmptyMapError(reason)
 
     def _make_sinks(
         self, folder: MapFolder, sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None

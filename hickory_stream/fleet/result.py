@@ -60,8 +60,8 @@ class FleetResult:
 
     @property
     def is_whole(self) -> bool:
-        """Whether every robot has a finished map, and all are in one."""
-        return all(robot.is_finished for robot in self.robots) and any(
+        """Whether every robot has a finished map with objects, and all are in one."""
+        return all(robot.is_finished and robot.num_objects for robot in self.robots) and any(
             len(merged.names) == len(self.robots) for merged in self.merged
         )
 

@@ -86,6 +86,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.fleet.resuming import has_ended, send_recorded
+    from hickory_stream.map_folder.history.candidates import why_no_objects
     from hickory_stream.map_folder.history.replay import show_until_resumed
     from hickory_stream.map_folder.manifest import is_map_folder, read_json
     from hickory_stream.sinks.disk_sink import DiskSink
@@ -131,6 +132,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
         source.close()
     ledger = read_json(task.out, "ledger.json")
     damage = damage_line(ledger)
+    empty = "" if played.snapshot is not None and played.snapshot.objects else why_no_objects(task.out)
     return Ended(
         is_finished=played.finished_cleanly,
         was_stopped=played.was_stopped,
@@ -138,7 +140,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
         digest=played.digest,
         start_ns=span.start_ns,
         end_ns=span.end_ns,
-        notes=tuple(text for text in (damage, *played.lost_outputs) if text),
+        notes=tuple(text for text in (damage, empty, *played.lost_outputs) if text),
     )
 
 

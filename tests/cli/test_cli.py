@@ -24,7 +24,7 @@ from hickory_stream.base.config_text import from_dict, read_config
 from hickory_stream.cli import main
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.pictures.raycast import image_colors
@@ -33,6 +33,7 @@ from hickory_stream.settings import Settings
 from hickory_stream.testing import RememberingSink
 from players import open_source
 from tests.output_forms import checked
+from tests.player_scenes import CAMERA, SceneFrame, write_posed_folder
 
 COMMAND = (sys.executable, "-m", "hickory_stream")
 NUM_FRAMES = 18
@@ -207,6 +208,39 @@ def test_a_batch_maps_as_play_does_and_keeps_what_it_mapped(made, short_log, coa
     other = look("batch", short_log, "-o", tmp_path / "out", "--json")
     assert other.status == 2
     assert "made with another configuration" in other.stderr
+
+
+@pytest.fixture(scope="module")
+def blank_log(tmp_path_factory) -> Path:
+    """A folder of images of a bare floor, from above, with exact poses."""
+    depth = np.full((CAMERA.height, CAMERA.width), 2000, np.uint16)
+    down = from_rotation_translation(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    frames = []
+    for i in range(8):
+        pose = down.copy()
+        pose[:3, 3] = 0.2 * i, 0.0, 2.0
+        rgb = np.full((*depth.shape, 3), 120, np.uint8)
+        frames.append(SceneFrame(stamp_ns=i, world_from_camera=pose, rgb=rgb, depth_mm=depth))
+    return write_posed_folder(tmp_path_factory.mktemp("blank") / "blank", frames)
+
+
+def test_a_run_that_found_no_object_ends_with_status_3(blank_log, tmp_path):
+    ended = look("play", blank_log, "--out", tmp_path / "map", "--viewer", "none")
+    assert ended.status == 3
+    assert re.search(r"found no object in \d+ keyframes; .*`hickory-stream doctor LOG`", ended.stderr)
+    seen = look("inspect", tmp_path / "map")
+    assert (seen.status, "found no object" in seen.stderr) == (3, True)
+    batch = look("batch", blank_log, "-o", tmp_path / "out", "--workers", 1, "--json")
+    assert (batch.status, batch.json()["finished"]) == (3, False)
+    assert "found no object" in batch.json()["logs"][0]["reason"]
+
+
+def test_a_log_without_any_depth_ends_with_status_3(blank_log, tmp_path):
+    dark = shutil.copytree(blank_log, tmp_path / "dark")
+    for image in (dark / "depth").iterdir():
+        cv2.imwrite(str(image), np.zeros((CAMERA.height, CAMERA.width), np.uint16))
+    ended = look("play", dark, "--out", tmp_path / "map", "--viewer", "none")
+    assert (ended.status, "no depth" in ended.stderr) == (3, True), ended.stderr
 
 
 EAGER = ("--set", "mapper.mapping.requests.first_sightings=2")

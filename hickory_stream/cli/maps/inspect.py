@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.commands import INCOMPLETE
 from hickory_stream.cli.option_values import add_at, open_map_at, parse_place
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -56,6 +58,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     from hickory_stream.inspection.inspect import as_json, chosen, format_table, summarize
+    from hickory_stream.map_folder.history.candidates import why_no_objects
 
     near, within_m = _near(options.near)
     if not 0 <= options.min_size < float("inf"):
@@ -68,7 +71,11 @@ def run(options: argparse.Namespace) -> int:
         print(output("inspect", as_json(summary), indent=1))
     else:
         print(format_table(summary, with_layers=options.layers, near=origin))
-    return 0
+    if found.objects or options.at is not None:
+        return 0
+    sys.stdout.flush()
+    sys.stderr.write(f"{why_no_objects(options.map)}\n")
+    return INCOMPLETE
 
 
 def _near(text: str | None) -> tuple[tuple[float, float] | None, float | None]:

@@ -25,7 +25,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Print the summary of a run, and return the exit status."""
     from hickory_stream.engine.shape_jobs.job_folder import failed_shapes
     from hickory_stream.inspection.graph_summary import summary_of, summary_text
-    from hickory_stream.map_folder.history.candidates import candidates_of
+    from hickory_stream.map_folder.history.candidates import candidates_of, why_no_objects
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json, read_manifest
     from hickory_stream.mapping.floor_warnings import floor_warnings
@@ -39,6 +39,10 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     candidates = candidates_of(out, {tracked.id for tracked in objects})
     goes_on = not played.finished_cleanly and read_manifest(out).run.get("mode") != "live"
     notes = floor_warnings(played.snapshot) if played.snapshot is not None else ()
+    if registration is not None and registration.warning():
+        notes = (*notes, registration.warning())
+    if not objects:
+        notes = (*notes, why_no_objects(out))
     if options.json:
         said = {
             "event": "finished",
@@ -84,7 +88,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             print("look at it with:", *_looks(out, getattr(options, "rrd", None)), sep="\n  ")
     if played.was_stopped:
         return STOPPED
-    return INCOMPLETE if played.lost_outputs or (failures and num_shaped == 0) else 0
+    return INCOMPLETE if played.lost_outputs or (num_shaped == 0 and (failures or not objects)) else 0
 
 
 def _looks(out: Path, rrd: Path | None) -> list[str]:

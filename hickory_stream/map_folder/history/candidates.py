@@ -11,6 +11,7 @@ from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import StepKind
 from hickory_stream.map_folder.history.registration_history import steps_behind
 from hickory_stream.map_folder.history.track_histories import TrackHistories
+from hickory_stream.map_folder.manifest import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -37,11 +38,13 @@ class Candidates:
 
     def text(self) -> str:
         """Return one line."""
-        listed = [
-            f"{number} {_PLAIN.get(cause, cause)}" for cause, number in list(self.causes.items())[:_CAUSES_LISTED]
-        ]
-        dropped = f"{self.dropped} dropped ({'; '.join(listed)})" if self.dropped else "none dropped"
+        dropped = f"{self.dropped} dropped ({self.why_dropped()})" if self.dropped else "none dropped"
         return f"{self.made} candidates became {self.kept} objects: {self.merged} merged as parts of others, {dropped}"
+
+    def why_dropped(self) -> str:
+        """Return the commonest causes."""
+        listed = list(self.causes.items())[:_CAUSES_LISTED]
+        return "; ".join(f"{number} {_PLAIN.get(cause, cause)}" for cause, number in listed)
 
 
 def candidates_of(path: Path, object_ids: Collection[int]) -> Candidates | None:
@@ -73,3 +76,22 @@ def candidates_of(path: Path, object_ids: Collection[int]) -> Candidates | None:
         dropped=causes.total(),
         causes=dict(causes.most_common()),
     )
+
+
+def why_no_objects(path: Path) -> str:
+    """Return in one line why the map in a folder has no objects."""
+    frames, candidates = read_json(path, "ledger.json").get("frames", {}), candidates_of(path, ())
+    keyframes, kept_out = frames.get("keyframes", 0), frames.get("keyframes_kept_out", 0)
+    blind = frames.get("keyframes_without_depth", 0)
+    reasons = [f"found no object in {keyframes} keyframes"]
+    if kept_out:
+        reasons.append(
+            f"{kept_out / (keyframes + kept_out):.0%} of all keyframes did not fit the map and were left out"
+        )
+    if blind:
+        reasons.append(f"{blind / keyframes:.0%} of them have no depth")
+    if candidates is not None and candidates.made:
+        reasons.append(f"all {candidates.made} candidates were dropped ({candidates.why_dropped()})")
+    elif candidates is not None:
+        reasons.append("no part of an image stood out from floor and walls")
+    return "; ".join([*reasons, "`hickory-stream doctor LOG` examines depth, poses and calibration"])

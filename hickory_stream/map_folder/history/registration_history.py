@@ -17,6 +17,9 @@ from hickory_stream.geometry.rigid import rotation_angle_rad
 from hickory_stream.journal.reader import Journal
 from hickory_stream.records import CoarseFrame
 
+# More than half of the keyframes are most.
+_MOST = 0.5
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RegisteredKeyframe:
@@ -97,6 +100,16 @@ class RegistrationSummary:
             times = "once" if self.carried_away == 1 else f"{self.carried_away} times"
             text += f"; {times} the robot was suddenly elsewhere than its odometry says, and a submap begins there"
         return text
+
+    def warning(self) -> str:
+        """Return a line where most keyframes did not fit, else ""."""
+        share = self.kept_out / max(1, self.keyframes + self.kept_out)
+        if share <= _MOST:
+            return ""
+        return (
+            f"most keyframes ({share:.0%}) did not fit the map and were left out, expected few; "
+            "`hickory-stream doctor LOG` compares depth, poses and calibration"
+        )
 
 
 def registration_summary(path: Path, ledger: Mapping[str, Any]) -> RegistrationSummary | None:
