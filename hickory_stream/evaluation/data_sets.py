@@ -104,7 +104,7 @@ def _bop(scene: Path, source: FolderSource) -> Truth:
     if not (scene / OBJECTS).is_file():
         raise RecordingError(f"{scene} has no {OBJECTS}: the poses of its objects are not public")
     objects, found = read_objects(scene), list[_Instance]()
-    numbers = [next(iter(by_number([files.color]))) for files in source.content.frames]
+    numbers = [next(iter(by_number([Path(str(files.color))]))) for files in source.content.frames]
     for index, (files, number) in enumerate(zip(source.content.frames, numbers, strict=True)):
         for place, (model, camera_from_object) in enumerate(objects.get(number, ())):
             if camera_from_object is None:

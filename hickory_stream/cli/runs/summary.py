@@ -68,7 +68,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         print(output("play", said))
     else:
         print(f"{out}: {len(objects)} objects, {num_shaped} with all four layers")
-        if candidates is not None:
+        if candidates is not None and objects:
             print(candidates.text())
         if played.is_reproducible and played.processor:
             print(f"reproducible on this kind of processor: {played.processor}")

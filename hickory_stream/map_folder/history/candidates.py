@@ -83,7 +83,7 @@ def why_no_objects(path: Path) -> str:
     frames, candidates = read_json(path, "ledger.json").get("frames", {}), candidates_of(path, ())
     keyframes, kept_out = frames.get("keyframes", 0), frames.get("keyframes_kept_out", 0)
     blind = frames.get("keyframes_without_depth", 0)
-    reasons = [f"found no object in {keyframes} keyframes"]
+    reasons = [f"found no object in {keyframes} {'keyframe' if keyframes == 1 else 'keyframes'}"]
     if kept_out:
         reasons.append(
             f"{kept_out / (keyframes + kept_out):.0%} of all keyframes did not fit the map and were left out"
