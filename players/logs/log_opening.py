@@ -19,7 +19,7 @@ from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
-from players.messages.calibration import Lens, lens_of
+from players.messages.calibration import Lens, has_shape, lens_of, scaled
 from players.messages.depth_registration import Registration
 from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
 from players.messages.records import TF
@@ -97,13 +97,15 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
         if probe.first is None:
             raise RecordingError(
                 f"{log.path}: {probe.topic.name} ({probe.topic.type_name}) holds no image; found "
-                f"{probe.num_unreadable} messages that cannot be read{_damage_of(log)}"
+                f"{probe.num_unreadable} messages that cannot be read"
+                + (f" ({probe.error})" if probe.error else "")
+                + _damage_of(log)
             )
     assert color_image is not None and depth_image is not None
     check_color_encoding(color_image)
     check_depth_encoding(depth_image)
     color_info = _info_topic(opening, opening.topics.color, color_image, opening.infos[0], "--color-info-topic")
-    color_lens = _lens(opening.reader, color_info, opening.topics.color, color_image)
+    color_lens = _lens(opening.reader, color_info, opening.color)
     depth_info, depth_lens = _depth_lens(opening, color_info, color_lens)
     color_from_depth, extrinsics = _color_from_depth(opening, color_image.frame, depth_image.frame)
     estimates = options.estimates_poses
@@ -147,8 +149,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
             *([("profile", f"{profile.name}{guess}")] if profile.name else []),
             ("color", opening.topics.color.name),
             ("depth", opening.topics.depth.name),
-            ("color_info", color_info),
-            ("depth_info", depth_info),
+            ("color_info", color_info + (f" ({color_lens.note})" if color_lens.note else "")),
+            ("depth_info", depth_info + (f" ({depth_lens.note})" if depth_lens.note else "")),
             ("pose", plan.source),
             ("frames", plan.path),
             ("extrinsics", plan.extrinsics),
@@ -243,11 +245,11 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
 def _look_at(probe: Probe, data: object, log_ns: int) -> None:
     try:
         image = image_of(probe.topic, deserialize(probe.topic, data))
-    except UnreadableMessageError:
+    except UnreadableMessageError as error:
         probe.num_unreadable += 1
+        probe.error = probe.error or str(error)
         return
-    if probe.first is None:
-        probe.first = image
+    probe.images.append(image)
     probe.stamps_ns.append(image.stamp_ns)
     probe.log_ns.append(log_ns)
 
@@ -276,7 +278,7 @@ def _has_depth_info(opening: Opening) -> bool:
     color, depth = opening.color.first, opening.depth.first
     if color is None or depth is None:
         return False
-    return opening.infos[1] is not None or (color.frame == depth.frame and color.size == depth.size)
+    return opening.infos[1] is not None or (color.frame == depth.frame and color.size is not None)
 
 
 def _try_plan(opening: Opening) -> PosePlan | None:
@@ -316,19 +318,23 @@ def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | No
     return found
 
 
-def _lens(reader: PoseReader, info: str, topic: Topic, image: LogImage) -> Lens:
-    return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=discovery.is_rectified(topic))
+def _lens(reader: PoseReader, info: str, probe: Probe) -> Lens:
+    is_rectified = discovery.is_rectified(probe.topic)
+    return lens_of(reader.infos[info], topic=info, image_size=probe.size, is_rectified=is_rectified)
 
 
 def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[str, Lens]:
     color, depth = opening.color.first, opening.depth.first
     assert color is not None and depth is not None
     if opening.options.depth_info_topic is None and opening.infos[1] is None:
-        size = (color_lens.camera.width, color_lens.camera.height)
-        if depth.frame == color.frame and depth.size == size:
-            return color_info, color_lens
+        size = opening.depth.size
+        if depth.frame == color.frame and size is not None and has_shape(color_lens.camera, size):
+            if size == (color_lens.camera.width, color_lens.camera.height):
+                return color_info, color_lens
+            note = f"scaled from colour to {size[0]}x{size[1]}"
+            return color_info, replace(color_lens, camera=scaled(color_lens.camera, size), note=note)
     info = _info_topic(opening, opening.topics.depth, depth, opening.infos[1], "--depth-info-topic")
-    return info, _lens(opening.reader, info, opening.topics.depth, depth)
+    return info, _lens(opening.reader, info, opening.depth)
 
 
 def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> tuple[NDArray[np.float64], str]:

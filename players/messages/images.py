@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -123,13 +124,25 @@ _PROBE_IMAGES = 15
 
 @dataclass(slots=True)
 class Probe:
-    """The first messages of an image topic: the first image, header stamps and log times."""
+    """The first messages of an image topic: images, header stamps and log times, and the first error."""
 
     topic: Topic
-    first: LogImage | None = None
+    images: list[LogImage] = field(default_factory=list)
     stamps_ns: list[int] = field(default_factory=list)
     log_ns: list[int] = field(default_factory=list)
     num_unreadable: int = 0
+    error: str = ""
+
+    @property
+    def first(self) -> LogImage | None:
+        """The first image that could be read."""
+        return self.images[0] if self.images else None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """The most frequent (width, height), the first of several."""
+        sizes = Counter(image.size for image in self.images if image.size is not None)
+        return sizes.most_common(1)[0][0] if sizes else None
 
     @property
     def is_full(self) -> bool:

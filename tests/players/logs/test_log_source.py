@@ -186,7 +186,8 @@ def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
 
 
 def test_images_that_all_contradict_calibration_are_refused(tmp_path):
-    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, replace(scenes.CAMERA, width=1280, height=720))
+    wide = Camera(width=1280, height=720, fx=700, fy=700, cx=640, cy=360)
+    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, wide)
     with pytest.raises(CalibrationError, match=r"for 1280x720 and 80x60 pixels; no pair"):
         _open(tmp_path, _with_info(COLOR_INFO, info))
 
