@@ -32,7 +32,7 @@ from players.poses.extrinsics import are_assumed, estimated_extrinsics, extrinsi
 from players.poses.odometry_source import OdometrySource, with_odometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -123,6 +123,7 @@ def examine_log(
     found.kind, found.checksum = log.kind, log.checksum
     found.num_bytes = sum(file.stat().st_size for file in log.files)
     found.problems += getattr(log, "unreadable", ())
+    found.notes += getattr(log, "notes", ())
     progress("reading every message")
     stats = {topic.name: StreamStats(topic) for topic in log.topics}
     for message in log.messages(list(stats)):
@@ -249,7 +250,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     }
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
-    _note_frames(found, ledger)
+    _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_color(found, agreement)
     judge_depth(found, noise, bias, sensor)
@@ -390,7 +391,7 @@ def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
             found.notes.append(f"{name}: its type is not known; it is skipped")
 
 
-def _note_frames(found: Diagnosis, fates: dict[str, int]) -> None:
+def _note_frames(found: Diagnosis, fates: dict[str, int], reasons: Mapping[str, str]) -> None:
     total = found.frames["frames"] + sum(
         fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
     )
@@ -410,7 +411,8 @@ def _note_frames(found: Diagnosis, fates: dict[str, int]) -> None:
         elif name in ("depth_without_returns", "pose_jumps", "duplicate_pose"):
             found.notes.append(f"{number} {name.replace('_', ' ')}")
         else:
-            found.problems.append(f"{number} {name.replace('_', ' ')}")
+            reason = f": {reasons[name]}" if name in reasons else ""
+            found.problems.append(f"{number} {name.replace('_', ' ')}{reason}")
     if found.streams.get("stamps", "").startswith("log time:"):
         found.problems.append(found.streams["stamps"])
 

@@ -34,6 +34,7 @@ class JoinedLog:
         self.profile = next((profile for log in logs if (profile := getattr(log, "profile", None))), None)
         self.unreadable: tuple[str, ...] = ()
         """Files of the log that cannot be read at all, with the reason."""
+        self.notes: tuple[str, ...] = ()
         self._topic_of = [{topic.name: topic for topic in log.topics} for log in logs]
 
     @property

@@ -109,7 +109,12 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     depth_info, depth_lens = _depth_lens(opening, color_info, color_lens)
     color_from_depth, extrinsics = _color_from_depth(opening, color_image.frame, depth_image.frame)
     estimates = options.estimates_poses
-    plan = opening.plan or (UNPOSED if estimates else _plan(opening, color_image.frame))
+    try:
+        plan = opening.plan or (UNPOSED if estimates else _plan(opening, color_image.frame))
+    except (CalibrationError, NoPosesError) as error:
+        if reason := _unreadable(opening):
+            raise RecordingError(f"{error}{reason}") from error
+        raise
     clock, clock_reason = choose_clock(options.clock, opening.color, opening.depth, opening.reader, plan)
     stamps = [probe.stamps_ns if clock == "header" else probe.log_ns for probe in (opening.color, opening.depth)]
     tolerance_ns = options.sync_tolerance_ns
@@ -313,7 +318,7 @@ def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | No
         raise CalibrationError(
             f"{opening.log.path}: no intrinsics for {topic.name}: no CameraInfo on "
             f"{asked or ' or '.join(discovery.info_names(topic))}, nor one of frame {image.frame}; "
-            f"CameraInfo topics: {infos}. Name one with {option}"
+            f"CameraInfo topics: {infos}. Name one with {option}{_unreadable(opening)}"
         )
     return found
 
@@ -368,6 +373,11 @@ def _span(reader: PoseReader, plan: PosePlan) -> tuple[int, int] | None:
     tracks = [track for key in plan.keys if (track := reader.track(key, 0)) is not None and track.num_added]
     spans = [(track.first_ns or 0, track.newest_ns or 0) for track in tracks]
     return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
+
+
+def _unreadable(opening: Opening) -> str:
+    number = opening.reader.fates["unreadable_message"]
+    return f"; {number} messages cannot be read, the first: {opening.reader.error}" if number else ""
 
 
 def _damage_of(log: Log) -> str:

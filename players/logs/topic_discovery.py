@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from hickory_stream.errors import NoPosesError, RecordingError
-from players.logs.containers import Topic
+from players.logs.containers import Topic, topic_name
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
 from players.options import NO_TOPIC, SourceOptions
 
@@ -134,7 +134,7 @@ def _named(path: object, topics: Iterable[Topic], name: str | None, option: str)
     if name is None:
         return None
     candidates = list(topics)
-    found = next((topic for topic in candidates if topic.name == name), None)
+    found = next((topic for topic in candidates if topic.name == topic_name(name)), None)
     if found is None:
         raise RecordingError(f"{path} has no topic {name} for {option}; {_listed('it has', candidates)}")
     return found

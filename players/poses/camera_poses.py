@@ -148,6 +148,8 @@ class PoseReader:
         self.infos: dict[str, CameraInfo] = {}
         self.seen: set[str] = set()
         self.fates: Counter[str] = Counter()
+        #: Why the first unreadable message is one.
+        self.error = ""
         self.rejected: Counter[str] = Counter()
 
     def add(self, message: LogMessage) -> None:
@@ -233,8 +235,8 @@ class PoseReader:
             return
         try:
             info = camera_info_of(deserialize(topic, message.data))
-        except (UnreadableMessageError, ValueError):
-            self.fates["unreadable_message"] += 1
+        except (UnreadableMessageError, ValueError) as error:
+            self._unreadable(error)
             return
         self._info_bytes[topic.name] = content
         known = self.infos.get(topic.name)
@@ -247,8 +249,8 @@ class PoseReader:
     def _add_poses(self, topic: Topic, message: LogMessage, epoch: int | None) -> None:
         try:
             poses = poses_of(topic.type_name, deserialize(topic, message.data))
-        except UnreadableMessageError:
-            self.fates["unreadable_message"] += 1
+        except UnreadableMessageError as error:
+            self._unreadable(error)
             return
         num_bad = 0
         for pose in poses:
@@ -275,6 +277,10 @@ class PoseReader:
         if not is_tf:
             self.fates["duplicate_pose"] += track.num_duplicates - doubles
             self.rejected[topic.name] += track.num_teleports - before + track.num_duplicates - doubles
+
+    def _unreadable(self, error: Exception) -> None:
+        self.fates["unreadable_message"] += 1
+        self.error = self.error or str(error)
 
     def _reject(self, topic: Topic, fate: str) -> None:
         self.fates[fate] += 1
