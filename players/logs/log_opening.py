@@ -6,6 +6,7 @@ Only the beginning is read: up to images of both topics, their calibrations, and
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +22,8 @@ from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
 from players.messages.calibration import Lens, has_shape, lens_of, scaled
 from players.messages.depth_registration import Registration
-from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
-from players.messages.records import TF
+from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of, kind_of
+from players.messages.records import COMPRESSED_IMAGE, IMAGE, TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, plan_poses
 from players.poses.pose_file import read_pose_file
@@ -31,6 +32,9 @@ from players.profile import Profile, guess_profile, load_profile, profiles_with_
 
 _PATIENCE_NS = 10_000_000_000
 """How much more of the log is read for topics without a message, once everything needed has been found."""
+
+_MOST_IMAGES = 300
+"""How many images are looked through for the first one of each topic."""
 
 _HORIZON_NS = 300_000_000_000
 """How much of the log is read to find the links that are needed: a recording in which they come later is refused."""
@@ -91,7 +95,7 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     Raises `RecordingError`: colour, depth or poses are missing, or never meet in time; `CalibrationError`: intrinsics
     or the frames between pose and camera are missing.
     """
-    opening = read_opening(log, options)
+    opening = read_opening(log, options, is_live=is_live)
     color_image, depth_image = opening.color.first, opening.depth.first
     for probe in (opening.color, opening.depth):
         if probe.first is None:
@@ -167,8 +171,10 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     return LogSource(log, setup)
 
 
-def read_opening(log: Log, options: SourceOptions) -> Opening:
+def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> Opening:
     """Return the contents of the beginning of a log, whether or not they suffice to play it.
+
+    The topics of a live log were chosen by name when they were subscribed to.
 
     Raises `RecordingError`: there are no messages, or no topics of colour, depth or poses.
     """
@@ -176,7 +182,8 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     own = getattr(log, "profile", None) if options.profile is None and options.robot is None else None
     profile, is_guessed = (own, False) if own is not None else choose_profile(log.topics, options)
-    topics = discovery.choose_images(log.path, log.topics, options, profile.topics)
+    contents = {} if is_live else _contents(log)
+    topics = discovery.choose_images(log.path, log.topics, options, profile.topics, contents)
     poses = [] if options.pose_file else _pose_topics(log, options, profile)
     is_named = options.pose_topic not in (None, NO_TOPIC) or (
         bool(profile.topics.get("pose")) and any(topic.name in profile.topics["pose"] for topic in poses)
@@ -208,6 +215,20 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
         pose_file=pose_file,
     )
     return _filled(opening, {topic.name for topic in wanted if topic.num_messages != 0})
+
+
+def _contents(log: Log) -> dict[str, discovery.Content]:
+    # The first image of each topic, as far as it comes early.
+    images = {t.name: t for t in log.topics if t.type_name in (IMAGE, COMPRESSED_IMAGE) and t.num_messages != 0}
+    found: dict[str, discovery.Content] = {}
+    for count, message in enumerate(log.messages(images)):
+        if message.topic not in found:
+            with suppress(UnreadableMessageError):
+                image = image_of(images[message.topic], deserialize(images[message.topic], message.data))
+                found[message.topic] = discovery.Content(kind_of(image), image.frame)
+        if len(found) == len(images) or count > _MOST_IMAGES:
+            break
+    return found
 
 
 def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:

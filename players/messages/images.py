@@ -12,6 +12,8 @@ from hickory_stream.errors import RecordingError
 from players.messages.image_decoding import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
+    JPEG,
+    PNG,
     color_of_pixels,
     compressed_size,
     decode_color,
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 
 _UNITS_PER_M = 1000.0
 """Integer depth is millimetres (REP 118)."""
+
+_LEAST_DEPTH_M, _MOST_DEPTH_M = 0.05, 25.0
+"""What a camera's depth may be in the middle."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -49,6 +54,15 @@ class LogImage:
     def encoding(self) -> str:
         """The encoding of raw pixels, or the format of a compressed image, as stated in the message."""
         return str(self.message.format if self.is_compressed else self.message.encoding)
+
+    @property
+    def has_wide_pixels(self) -> bool:
+        """Whether a compressed image is a PNG of one channel of 16 bits, or has the header of `compressedDepth`."""
+        head = np.asarray(self.message.data[:64], dtype=np.uint8).tobytes()
+        at = 0 if head[:8] == PNG else 12
+        if head[at : at + 8] == PNG:
+            return head[at + 24 : at + 26] == b"\x10\0"
+        return head[:3] != JPEG and "compresseddepth" in self.encoding.lower() and any(rvl_size(head))
 
     def data(self) -> bytes:
         """Return the compressed bytes."""
@@ -88,6 +102,22 @@ def check_depth_encoding(image: LogImage) -> None:
             f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
             "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
         )
+
+
+def kind_of(image: LogImage) -> str:
+    """Return "color" or "depth" by an image's encoding and pixels, "" for one that may be either or cannot be read."""
+    if not image.is_compressed:
+        if image.encoding not in ("16UC1", "32FC1"):  # mono16 is depth with some drivers
+            return "color" if image.encoding in COLOR_ENCODINGS and image.encoding != "mono16" else ""
+    elif not image.has_wide_pixels:
+        return "color" if image.data()[:3] == JPEG or image.data()[:8] == PNG else ""
+    try:
+        depth_m = depth_of(image)
+    except RecordingError:
+        return ""
+    # Thermal images have as many bits.
+    returns = depth_m[np.isfinite(depth_m)]
+    return "depth" if returns.size and _LEAST_DEPTH_M < np.median(returns) < _MOST_DEPTH_M else ""
 
 
 def color_of(image: LogImage) -> NDArray[np.uint8]:
