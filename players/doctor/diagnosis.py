@@ -249,6 +249,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         "read_s": round(time.perf_counter() - started_s, 2),
     }
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
+    _refuse_empty(found, num_torn, invalid)
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
     _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
@@ -271,6 +272,13 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
             "p95_ms": round(float(np.percentile(np.abs(apart_ms), 95)), 3) if len(apart_ms) else None,
             "histogram": {"edges_ms": [round(float(edge), 3) for edge in edges], "counts": counts.tolist()},
         }
+
+
+def _refuse_empty(found: Diagnosis, num_torn: int, invalid: Sequence[float]) -> None:
+    if num_torn and not invalid:
+        found.refusal = f"none of {num_torn} sampled frames can be decoded: {found.notes[-1]}"
+    elif invalid and min(invalid) == 1.0:
+        found.refusal = f"none of {len(invalid)} sampled depth images has a return: all is NaN, 0, or out of range"
 
 
 def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:

@@ -22,7 +22,18 @@ from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
 from players.messages.calibration import Lens, has_shape, lens_of, scaled
 from players.messages.depth_registration import Registration
-from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of, kind_of
+from players.messages.images import (
+    LogImage,
+    Probe,
+    check_color_encoding,
+    check_decodes,
+    check_depth_encoding,
+    check_depth_unit,
+    color_of,
+    depth_of,
+    image_of,
+    kind_of,
+)
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, plan_poses
@@ -108,6 +119,9 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     assert color_image is not None and depth_image is not None
     check_color_encoding(color_image)
     check_depth_encoding(depth_image)
+    check_decodes(opening.color, color_of, "--color-topic")
+    check_decodes(opening.depth, depth_of, "--depth-topic")
+    check_depth_unit(opening.depth, opening.profile.depth_units_per_m)
     color_info = _info_topic(opening, opening.topics.color, color_image, opening.infos[0], "--color-info-topic")
     color_lens = _lens(opening.reader, color_info, opening.color)
     depth_info, depth_lens = _depth_lens(opening, color_info, color_lens)

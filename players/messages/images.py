@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,8 @@ from players.messages.image_decoding import (
 from players.messages.records import COMPRESSED_IMAGE, frame_name, header_stamp_ns
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from players.logs.containers import Topic
@@ -34,6 +37,8 @@ _UNITS_PER_M = 1000.0
 
 _LEAST_DEPTH_M, _MOST_DEPTH_M = 0.05, 25.0
 """What a camera's depth may be in the middle."""
+
+_COARSE_M = 0.09
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -54,6 +59,12 @@ class LogImage:
     def encoding(self) -> str:
         """The encoding of raw pixels, or the format of a compressed image, as stated in the message."""
         return str(self.message.format if self.is_compressed else self.message.encoding)
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether a compressed image is JPEG or PNG, without the header of `compressedDepth`."""
+        head = np.asarray(self.message.data[:8], dtype=np.uint8).tobytes()
+        return head[:3] == JPEG or head == PNG
 
     @property
     def has_wide_pixels(self) -> bool:
@@ -87,9 +98,11 @@ def check_color_encoding(image: LogImage) -> None:
 
     Raises `RecordingError`: the encoding is not known.
     """
-    if not image.is_compressed and image.encoding not in COLOR_ENCODINGS:
+    is_depth = image.is_compressed and kind_of(image) == "depth"
+    if is_depth or (not image.is_compressed and image.encoding not in COLOR_ENCODINGS):
+        found = "holds depth" if is_depth else f"is encoded as {image.encoding!r}"
         raise RecordingError(
-            f"{image.topic} is encoded as {image.encoding!r}; colour must be one of {', '.join(COLOR_ENCODINGS)}, "
+            f"{image.topic} {found}; colour must be one of {', '.join(COLOR_ENCODINGS)}, "
             "or a CompressedImage of JPEG or PNG; name another topic with --color-topic"
         )
 
@@ -97,9 +110,11 @@ def check_color_encoding(image: LogImage) -> None:
 def check_depth_encoding(image: LogImage) -> None:
     """Check that depth can be decoded, to the right unit. Raises `RecordingError`: the encoding is not known."""
     # A compressed image is recognised by its bytes: drivers write the format string in many ways.
-    if not image.is_compressed and image.encoding not in DEPTH_ENCODINGS:
+    is_narrow = image.is_compressed and not image.has_wide_pixels
+    if (is_narrow and image.is_picture) or (not image.is_compressed and image.encoding not in DEPTH_ENCODINGS):
+        found = f"{'holds JPEG or PNG of 8 bits, ' * is_narrow}is encoded as {image.encoding!r}"
         raise RecordingError(
-            f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
+            f"{image.topic} {found}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
             "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
         )
 
@@ -110,7 +125,7 @@ def kind_of(image: LogImage) -> str:
         if image.encoding not in ("16UC1", "32FC1"):  # mono16 is depth with some drivers
             return "color" if image.encoding in COLOR_ENCODINGS and image.encoding != "mono16" else ""
     elif not image.has_wide_pixels:
-        return "color" if image.data()[:3] == JPEG or image.data()[:8] == PNG else ""
+        return "color" if image.is_picture else ""
     try:
         depth_m = depth_of(image)
     except RecordingError:
@@ -146,6 +161,47 @@ def _compressed_size(message: Any) -> tuple[int, int] | None:
     # The size of a JPEG follows its tables and comments, which may be long.
     head = np.asarray(message.data[: 1 << 16], dtype=np.uint8).tobytes()
     return compressed_size(head) or compressed_size(head[12:]) or (rvl_size(head) if any(rvl_size(head)) else None)
+
+
+def check_decodes(probe: Probe, decode: Callable[[LogImage], Any], option: str) -> None:
+    """Check that one of the first images can be decoded. Raises `RecordingError`: none can; the reason is the last."""
+    for i, image in enumerate(probe.images, start=1):
+        try:
+            decode(image)
+            return
+        except RecordingError as error:
+            if i == len(probe.images):
+                number = f"none of the first {i} images" if i > 1 else "the only image"
+                raise RecordingError(
+                    f"{number} of {image.topic} can be decoded (format {image.encoding!r}): {error}; name another "
+                    f"topic with {option}"
+                ) from error
+
+
+def check_depth_unit(probe: Probe, units_per_m: float) -> None:
+    """Check the first, middle and last of the first images for depth that was cut to whole metres.
+
+    Raises `RecordingError`: depth has few values in steps of 0.1 m or more, or is nearer than cameras see.
+    """
+    found = []
+    for image in probe.images[:: max(1, len(probe.images) // 2)]:
+        with suppress(RecordingError):
+            depth_m = depth_of(image, units_per_m)
+            found.append(np.unique(depth_m[np.isfinite(depth_m)]))
+    values_m = np.unique(np.concatenate(found)) if found else np.zeros(0)
+    if not values_m.size:
+        return
+    expected = "its fractions are lost; expected millimetres in 16UC1, or metres in 32FC1, as the camera measures them"
+    step_m = float(np.diff(values_m).min(initial=np.inf))
+    if values_m.size > 2 and step_m > _COARSE_M and np.abs(values_m * 10 - np.round(values_m * 10)).max() < 1e-3:
+        steps = f"{values_m.size} values in steps of {step_m:g} m, up to {values_m[-1]:g} m"
+        raise RecordingError(f"{probe.topic.name}: depth has only {steps}: {expected}")
+    if values_m[-1] < _COARSE_M:
+        raise RecordingError(
+            f"{probe.topic.name}: depth ends at {values_m[-1]:g} m, since {units_per_m:g} units are taken for a metre. "
+            f"If its numbers, up to {values_m[-1] * units_per_m:.0f}, are whole metres, {expected}; of any other unit, "
+            "set depth_units_per_m in a --profile"
+        )
 
 
 _PROBE_IMAGES = 15
