@@ -115,13 +115,14 @@ def test_depth_that_is_none_makes_a_log_unusable(tmp_path, make, told):
 
 
 def test_images_that_none_can_be_decoded_are_refused_and_torn_first_ones_not(tmp_path):
-    numbers = iter(range(100))
+    numbers, last = iter(range(100)), [0]
 
     def torn(frame: scenes.SceneFrame) -> Any:
         message = _color(frame)
-        return replace(message, data=message.data[: None if next(numbers) > last else 300])
+        return replace(message, data=message.data[: None if next(numbers) > last[0] else 300])
 
-    for last, is_refused in ((2, False), (99, True)):
+    for number, is_refused in ((2, False), (99, True)):
+        last[0] = number
         log = _log(tmp_path, lambda f: [("/cam/aligned_depth/image", _depth(f)), ("/cam/color/image", torn(f))])
         if is_refused:
             with pytest.raises(RecordingError, match="none of the first 12 images of /cam/color/image can be decoded"):
