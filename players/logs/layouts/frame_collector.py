@@ -164,6 +164,9 @@ class FrameCollector:
             usual = self.view(
                 sizes, depth_units_per_m or self._profile.depth_units_per_m, depth_intrinsics, color_intrinsics
             )
+            width, height = depth_intrinsics.width, depth_intrinsics.height
+            if width is not None and (width, height) not in sizes:
+                streams = {**streams, "camera_info": f"{streams['camera_info']} (scaled from {width}x{height})"}
         frames = []
         for stamp_ns, color, depth, pose, own in self._found:
             view = own or usual
@@ -192,12 +195,14 @@ class FrameCollector:
     ) -> FolderView:
         """Return a calibration without distortion; colour has by default the intrinsics of depth.
 
-        Raises `RangeError`: the unit of depth is none.
+        Raises `RangeError`: the unit of depth is none; `CalibrationError`: the intrinsics are of another size.
         """
         _UNITS.check("depth", depth_units_per_m)
+        if color is None:
+            depth = depth.of_nearest(sizes)
         registration = Registration(
-            depth_camera=depth.camera(sizes[1]),
-            color_camera=(color or depth).camera(sizes[0]),
+            depth_camera=depth.camera(sizes[1], str(self._folder)),
+            color_camera=(color or depth).camera(sizes[0], str(self._folder)),
             color_from_depth=self._color_from_depth,
         )
         return FolderView(registration=registration, depth_units_per_m=depth_units_per_m)
