@@ -130,16 +130,19 @@ def examine_log(
         stats[message.topic].add(message)
     found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
     _note_stamps(found, is_heard=is_heard)
+    flaws = log.flaws
     try:
         source = _as_play_opens(found, log, options, is_heard=is_heard)
         progress("reading as play does")
         examine_frames(found, source, stats)
+        played = source.played if isinstance(source, OdometrySource) else source
+        flaws = played.flaws if isinstance(played, LogSource) else flaws
         if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
             progress("looking where the camera sits")
             judge_extrinsics(found, source)
     except InputError as error:
         found.refusal = str(error)
-    _note_damage(found, log.flaws)
+    _note_damage(found, flaws)
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
     return found

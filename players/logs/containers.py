@@ -153,15 +153,15 @@ def _typestore(type_name: str, definition_format: DefinitionFormat, definition: 
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     if definition_format == "none" or not definition.strip():
-        return _own_types(wire)
+        return own_types(wire)
     is_msg = definition_format == "msg"
     types = get_types_from_msg(definition, type_name) if is_msg else get_types_from_idl(definition)
     # Some writers leave out the definitions of the types of fields.
     needed = [name for _, fields in types.values() for name in _types_of(fields)]
     while needed:
         name = needed.pop()
-        if name not in types and name in _own_types(wire).fielddefs:
-            types[name] = _own_types(wire).fielddefs[name]
+        if name not in types and name in own_types(wire).fielddefs:
+            types[name] = own_types(wire).fielddefs[name]
             needed += _types_of(types[name][1])
     store = get_typestore(Stores.EMPTY)
     store.register(types)
@@ -169,7 +169,8 @@ def _typestore(type_name: str, definition_format: DefinitionFormat, definition: 
 
 
 @lru_cache(maxsize=2)
-def _own_types(wire: Wire) -> Any:
+def own_types(wire: Wire) -> Any:
+    """Return the store of ROS 1's own types, or of ROS 2's."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)

@@ -25,7 +25,7 @@ class _Head:
 class JoinedLog:
     """A `Log` of several logs."""
 
-    def __init__(self, path: Path, kind: str, logs: Sequence[Log]) -> None:
+    def __init__(self, path: Path | str, kind: str, logs: Sequence[Log]) -> None:
         self.path = path
         self.kind = kind
         self.logs = tuple(logs)

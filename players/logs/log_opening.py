@@ -20,6 +20,7 @@ from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
+from players.logs.video_log import with_video
 from players.messages.calibration import Lens, has_shape, lens_of, scaled
 from players.messages.depth_registration import Registration
 from players.messages.images import (
@@ -107,6 +108,7 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     or the frames between pose and camera are missing.
     """
     opening = read_opening(log, options, is_live=is_live)
+    log = opening.log
     color_image, depth_image = opening.color.first, opening.depth.first
     for probe in (opening.color, opening.depth):
         if probe.first is None:
@@ -196,6 +198,7 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     own = getattr(log, "profile", None) if options.profile is None and options.robot is None else None
     profile, is_guessed = (own, False) if own is not None else choose_profile(log.topics, options)
+    log = log if is_live else with_video(log)
     contents = {} if is_live else _contents(log)
     topics = discovery.choose_images(log.path, log.topics, options, profile.topics, contents)
     poses = [] if options.pose_file else _pose_topics(log, options, profile)

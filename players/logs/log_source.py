@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from players.logs.log_damage import Flaws
     from players.logs.log_setup import LogSetup
     from players.messages.calibration import Lens
 
@@ -153,6 +154,11 @@ class LogSource:
         `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
         """
         return self._ledger.as_dict()
+
+    @property
+    def flaws(self) -> Flaws:
+        """The damage found so far, with packets of video that give no picture."""
+        return self._log.flaws
 
     def reasons(self) -> Mapping[str, str]:
         """Return the first error of the latest pass by the name of its count."""

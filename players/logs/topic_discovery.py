@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from hickory_stream.errors import NoPosesError, RecordingError
 from players.logs.containers import Topic, topic_name
-from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
+from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF, VIDEOS
 from players.options import NO_TOPIC, SourceOptions
 
 _COLOR_POINTS = {"rgb": 8, "color": 8, "colour": 8, "left": 2, "rect": 2, "image": 1, "compressed": 1}
@@ -73,6 +73,8 @@ def choose_images(
             f"{path} is a recording of a ZED camera (SVO2): depth and poses are not in it, the ZED SDK makes them; "
             f"with the SDK installed: hickory-stream live zed:{path}"
         )
+    if any(topic.type_name in VIDEOS for topic in topics):
+        raise RecordingError(f"{path} has video: pip install 'hickory-stream[video]' reads it")
     if not images:
         raise RecordingError(f"{path} has no images, neither colour nor depth; {_listed('topics', topics)}")
     role, option = ("depth", "--depth-topic") if is_depth else ("colour", "--color-topic")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ _LEAST_DEPTH_M, _MOST_DEPTH_M = 0.05, 25.0
 """What a camera's depth may be in the middle."""
 
 _COARSE_M = 0.09
+_CODECS = {"h264": ("264", "avc"), "hevc": ("265", "hevc"), "vp9": ("vp9",), "libdav1d": ("av1",)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -98,6 +100,11 @@ def check_color_encoding(image: LogImage) -> None:
 
     Raises `RecordingError`: the encoding is not known.
     """
+    if image.is_compressed and (codec := codec_of(image.encoding, image.data())):
+        raise RecordingError(
+            f"{image.topic} is video ({codec}): pip install 'hickory-stream[video]' reads it from logs; "
+            "or name another topic with --color-topic"
+        )
     is_depth = image.is_compressed and kind_of(image) == "depth"
     if is_depth or (not image.is_compressed and image.encoding not in COLOR_ENCODINGS):
         found = "holds depth" if is_depth else f"is encoded as {image.encoding!r}"
@@ -117,6 +124,17 @@ def check_depth_encoding(image: LogImage) -> None:
             f"{image.topic} {found}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
             "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
         )
+
+
+def codec_of(encoding: str, data: bytes) -> str:
+    """Return FFmpeg's decoder of a packet of video, by its message's encoding or its first bytes; "" for others."""
+    text = encoding.lower()
+    for codec, words in _CODECS.items():
+        if any(word in text for word in words):
+            return codec
+    # Annex B: a start code, and the type of its first unit.
+    start = re.match(rb"\x00{2,3}\x01(.)", data[:5], re.DOTALL)
+    return "" if start is None else "hevc" if start[1] in b"\x40\x42\x44\x46" else "h264"
 
 
 def kind_of(image: LogImage) -> str:
