@@ -19,7 +19,9 @@ case "$*" in
     "-m pip --version") {has_pip} ;;
     "-m pip install "*--target*) {has_uv} && mkdir -p .venv/.setup/uv/bin && cp uv .venv/.setup/uv/bin/uv ;;
     "-m pip config list") echo "global.index-url='file:///index'"; echo "global.find-links='/a /b'" ;;
-    "-m pip "*install*) echo "pip $*" >> asked ;;
+    "-m pip "*install*)
+        echo "pip $*" >> asked
+        [ ! -f .venv/.setup/lock ] || echo "installs $(cat .venv/.setup/lock)" >> asked ;;
     "-m venv --without-pip .venv") ./uv venv ;;
     "-m venv "*) exit 1 ;;
 esac
@@ -113,7 +115,9 @@ def test_tests_add_their_packages_to_the_same_environment(checkout):
 def test_pip_installs_where_uv_cannot_be_fetched(tmp_path):
     checkout = Checkout(tmp_path, has_uv=False)
     assert checkout.set_up()[0] == 0
-    assert "pip -m pip --python .venv/bin/python install" in checkout.asked()
+    asked = checkout.asked()
+    assert "pip -m pip --python .venv/bin/python install" in asked
+    assert "installs numpy==2.4.6\n" in asked, "and no uv"
 
 
 def test_an_older_python_is_named(tmp_path):
@@ -144,9 +148,7 @@ def test_a_failed_installation_is_explained_and_begun_again(checkout, fault, sai
     (checkout.folder / "fault").write_text(fault)
     # pip, which comes second, fails as well.
     python = checkout.bin / "python3"
-    python.write_text(
-        python.read_text().replace('>> asked ;;\n    "-m venv --', '>> asked; exit 1 ;;\n    "-m venv --')
-    )
+    python.write_text(python.read_text().replace('"-m pip "*install*)', '"-m pip "*install*) exit 1 ;; none)'))
     assert said in checkout.refused()
     assert not checkout.venv.exists()
     (checkout.folder / "fault").unlink()
