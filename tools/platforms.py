@@ -14,6 +14,8 @@ _LOCK = Path(__file__).resolve().parents[1] / "requirements.lock"
 def obstacle(machine: str, python: str, lock: Path = _LOCK, *options: str) -> str:
     """Return uv's reason why the lock cannot be installed there, with the markers of that machine; empty if it can."""
     command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--only-binary", ":all:", "-o", os.devnull]
+    # Without looking for a Python of that version, here and in the net.
+    command += ["--python", sys.executable, "--no-python-downloads"]
     command += ["--python-version", python, "--python-platform", f"{machine}-manylinux_2_39", *options, str(lock)]
     asked = subprocess.run(command, capture_output=True, text=True, check=False)
     return " ".join(asked.stderr.split()) if asked.returncode else ""
