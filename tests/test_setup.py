@@ -79,8 +79,9 @@ class Checkout:
         status, told = self.set_up(**environment)
         assert status == 2, told
         assert not (self.venv / ".hickory-setup-run").exists()
-        [line] = [line for line in told.splitlines() if line.startswith("set-up: ")]
-        assert told.splitlines()[-1] == line
+        *before, line = told.splitlines()
+        assert line.startswith("set-up: ")
+        assert all(one.startswith(("  ", "setting up")) for one in before)
         return line
 
 
@@ -143,6 +144,7 @@ def test_a_python_without_pip_and_venv_is_refused(tmp_path):
         ("error: Read-only file system (os error 30)", "a folder cannot be written while installing packages"),
         ("error: numpy has no wheel", "an error while installing packages: numpy has no wheel"),
     ],
+    ids=("disk", "network", "folder", "other"),
 )
 def test_a_failed_installation_is_explained_and_begun_again(checkout, fault, said):
     (checkout.folder / "fault").write_text(fault)
@@ -166,6 +168,8 @@ def test_what_cannot_be_kept_goes_into_the_environment(checkout):
 def test_an_interrupted_set_up_is_begun_again(checkout):
     checkout.set_up()
     (checkout.venv / ".hickory-setup-run").unlink()
+    (checkout.venv / ".setup").mkdir()
+    (checkout.venv / ".setup" / "new").touch()
     (checkout.venv / "half").touch()
     assert "setting up .venv again: it is unfinished" in checkout.set_up()[1]
     assert not (checkout.venv / "half").exists()
@@ -189,6 +193,14 @@ def test_a_moved_checkout_makes_its_environment_again(checkout):
     checkout.folder.rename(moved)
     checkout.folder, checkout.venv = moved, moved / ".venv"
     assert "setting up .venv again: it was made in another folder" in checkout.set_up()[1]
+
+
+def test_an_environment_that_the_user_made_is_completed(checkout):
+    checkout.set_up()
+    (checkout.venv / ".hickory-setup-run").unlink()
+    (checkout.venv / "own").touch()
+    assert "updating .venv to requirements.lock" in checkout.set_up()[1]
+    assert (checkout.venv / "own").exists()
 
 
 def test_a_folder_of_the_user_is_left_alone(checkout):
