@@ -37,7 +37,7 @@ from tests.player_scenes import CAMERA, SceneFrame, write_posed_folder
 
 COMMAND = (sys.executable, "-m", "hickory_stream")
 NUM_FRAMES = 18
-HEAVY = ("numpy", "cv2", "rerun", "numba", "scipy", "trimesh", "open3d", "embreex", "asyncio")
+HEAVY = ("numpy", "cv2", "rerun", "numba", "scipy", "trimesh", "open3d", "kiss_icp", "embreex", "asyncio")
 
 
 @dataclass(frozen=True, kw_only=True)

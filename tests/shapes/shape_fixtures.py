@@ -1,8 +1,6 @@
 """Objects with a known shape, and what cameras see of them: the ground truth of the tests of layers 2 to 4."""
 
-import ctypes
 from typing import Any
-import libusb_package
 import numpy as np
 import trimesh
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -10,6 +8,7 @@ from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
+from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.ports import Crop, ShapeInputs
 from tools.evaluation.shapes.meshes import MESH_NAMES, test_mesh
 
@@ -26,13 +25,6 @@ def as_mesh(shape: trimesh.Trimesh) -> Mesh:
     )
 
 
-def open3d_module() -> Any:
-    ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    import open3d
-
-    return open3d
-
-
 def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
     forward = (target - eye) / np.linalg.norm(target - eye)
@@ -45,7 +37,7 @@ def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
-    o3d = open3d_module()
+    o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     for mesh in meshes:
         scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
@@ -54,7 +46,7 @@ def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
 
 def cast_view(scene: Any, camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth along the axis (inf where nothing is hit) and the index of the mesh hit."""
-    o3d = open3d_module()
+    o3d = import_open3d()
     pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
     directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
     origins = np.broadcast_to(world_from_camera[:3, 3].astype(np.float32), directions.shape)
@@ -138,7 +130,7 @@ def solid_of_parts(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def inside(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    o3d = open3d_module()
+    o3d = import_open3d()
     scene = ray_scene([shape])
     return scene.compute_occupancy(o3d.core.Tensor(np.ascontiguousarray(points, np.float32)), nsamples=3).numpy() > 0.5
 
@@ -148,7 +140,7 @@ def shaded(
 ) -> np.ndarray:
     """Return an (H, W, 3) picture of (vertices, faces, face colours), lit from the camera."""
     scene = ray_scene([trimesh.Trimesh(v, f, process=False) for v, f, _ in meshes])
-    o3d = open3d_module()
+    o3d = import_open3d()
     pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
     directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
