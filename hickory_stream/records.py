@@ -249,13 +249,13 @@ class CoarseFrame:
     """A keyframe's depth in the journal: the middle pixel of every cell of `stride_px` x `stride_px`.
 
     `depth_mm` (h, w) uint16 along the optical axis, 0 = no return; `structure` (h, w): floor, wall or ceiling; `camera`
-    of the whole image, None in older journals.
+    of the whole image.
     """
 
     stride_px: int
     depth_mm: NDArray[np.uint16]
     structure: NDArray[np.bool_]
-    camera: Camera | None = None
+    camera: Camera
 
     def __post_init__(self) -> None:
         freeze(self, "depth_mm", np.uint16, (None, None))

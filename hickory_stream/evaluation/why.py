@@ -46,7 +46,6 @@ class Why:
     num_objects: int
     num_aside: int
     num_keyframes: int
-    has_coarse_depth: bool
     reasons: tuple[ReasonCount, ...]
     origins: tuple[ReasonCount, ...]
     missed: tuple[Missed, ...]
@@ -126,7 +125,6 @@ def why_of(found: Investigation) -> Why:
         num_objects=score.num_objects,
         num_aside=len(aside),
         num_keyframes=evidence.sightings.num_keyframes,
-        has_coarse_depth=evidence.sightings.has_coarse_depth,
         reasons=_counts(item.reason for item in missed),
         origins=_counts(item.origin for item in false),
         missed=missed,
