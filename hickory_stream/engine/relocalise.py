@@ -3,11 +3,9 @@
 A pose is confirmed when two consecutive answers agree; the first one may be chance.
 """
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,15 +13,11 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.alignment.registration import differs
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import Source
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.ports import Source
 
 _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
 

@@ -1,29 +1,22 @@
 """Observations and decisions of a run, keyframe by keyframe, from its journal."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import FramePose, Step, StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.records import Decision, MapSnapshot
+from hickory_stream.records import Decision, MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
