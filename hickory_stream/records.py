@@ -4,29 +4,22 @@ All are frozen; arrays are checked for dtype and shape and made read-only, so th
 integer nanoseconds; the world is z up; lengths are metres.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import no_directions
-from hickory_stream.geometry.superquadric import check_bodies
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.geometry.superquadric import Superquadrics, check_bodies
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
