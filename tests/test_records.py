@@ -153,7 +153,7 @@ FREE_LENGTH = {
 
 
 def array_fields(record: type) -> list[str]:
-    return [field.name for field in fields(record) if "NDArray" in str(field.type)]
+    return [field.name for field in fields(record) if "ndarray" in str(field.type).lower()]
 
 
 def cases() -> Iterator[Any]:
