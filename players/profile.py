@@ -3,32 +3,26 @@
 A profile names topics, links between body and camera, and tolerances. Topics identify it, or `--profile`.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
+from players.logs.containers import Topic
 from players.options import MAX_GAP_NS
 from players.poses.interpolation import nearest_rigid
 from players.poses.tf import Edge
 from players.poses.tracks import JumpLimits
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from players.logs.containers import Topic
 
 _TOLERANCE = Range(low=0.001, high=MAX_GAP_NS / 1e6, unit="ms")
 _OFFSET = Range(low=-1000, high=1000, unit="m")

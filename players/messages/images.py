@@ -1,13 +1,13 @@
 """Image messages: headers, lazy decoding, and the first messages of a topic."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
+from players.logs.containers import Topic
 from players.messages.image_decoding import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
@@ -20,11 +20,6 @@ from players.messages.image_decoding import (
     rvl_size,
 )
 from players.messages.records import COMPRESSED_IMAGE, frame_name, header_stamp_ns
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from players.logs.containers import Topic
 
 _UNITS_PER_M = 1000.0
 """Integer depth is millimetres (REP 118)."""
