@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import diagonalise
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, moved, volumes_m3
 from hickory_stream.shapes.connected import joined_faces
@@ -175,31 +173,10 @@ def _is_bent(extents: NDArray[np.float64], thickness: float) -> bool:
 
 def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # Larger by the thickness, so that the two sides of a panel are not worth a box each; the longest axis last.
-    extents, axes = _principal_box(np.ascontiguousarray(corners).reshape(-1, 3))
-    return extents + thickness, axes
-
-
-@kernel(error_model="numpy")
-def _principal_box(points):
-    middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
-    for n in range(len(points)):
-        for i in range(3):
-            middle[i] += points[n, i]
-    middle /= len(points)
-    for n in range(len(points)):
-        x, y, z = points[n, 0] - middle[0], points[n, 1] - middle[1], points[n, 2] - middle[2]
-        off = (x, y, z)
-        for i in range(3):
-            for j in range(3):
-                products[i, j] += off[i] * off[j]
-    diagonalise(products, axes)
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for n in range(len(points)):
-        x, y, z = points[n, 0] - middle[0], points[n, 1] - middle[1], points[n, 2] - middle[2]
-        for i in range(3):
-            along = x * axes[0, i] + y * axes[1, i] + z * axes[2, i]
-            low[i], high[i] = min(low[i], along), max(high[i], along)
-    return high - low, axes
+    points = corners.reshape(-1, 3)
+    off = points - portable.matmul(np.ones(len(points)), points) / len(points)
+    axes = portable.eigh(portable.matmul(off.T, off))[1]
+    return np.ptp(portable.matmul(off, axes), axis=0) + thickness, axes
 
 
 def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_Part]:
