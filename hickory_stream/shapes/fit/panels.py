@@ -292,13 +292,13 @@ def with_thin_parts(
     """
     rows = rows_in(primitives, step_m, np.zeros(3))
     points, pieces, _, distances = owned_pieces(vertices / step_m, faces.astype(np.int64), rows, _OUTSIDE, _PIECE)
-    pieces = pieces[distances > _OUTSIDE].astype(np.int32)
-    if len(pieces) == 0 or len(primitives) >= most:
+    out = pieces[distances > _OUTSIDE].astype(np.int32)
+    if len(out) == 0 or len(primitives) >= most:
         return primitives
     total = float(areas_of(vertices[faces]).sum())
     found = []
     for panel, area_m2 in loose_panels(
-        points * step_m, pieces, least_area=least_area * total, min_size_m=0.1 * step_m, thin_m=_THIN * step_m
+        points * step_m, out, least_area=least_area * total, min_size_m=0.1 * step_m, thin_m=_THIN * step_m
     ):
         sides = 2 * panel.semi_axes_m[0]
         around = 2 * (sides[0] * sides[1] + sides[1] * sides[2] + sides[2] * sides[0])
