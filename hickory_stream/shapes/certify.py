@@ -218,7 +218,8 @@ def _triangles(
         order, stairs = np.argsort(-local[:, 0], kind="stable"), np.empty((len(vertices), 3))
         _fill_bounds(local, order, stairs, body, radius, log_g, NET, NET_FACTOR, own)
     # Most triangles are covered as they are.
-    best = bounds[:, faces].max(axis=2).min(axis=0)
+    a, b, c = (bounds[:, faces[:, i]] for i in range(3))
+    best = np.maximum(np.maximum(a, b), c).min(axis=0)
     is_in = best < np.inf
     corners = np.concatenate([vertices, bounds.T], axis=1)
     stack = np.empty((_MAX_BISECTIONS + 2, 3, corners.shape[1]))

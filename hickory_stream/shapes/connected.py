@@ -9,16 +9,14 @@ from scipy import ndimage
 from hickory_stream.base.compiled import kernel
 
 
-def pieces_of(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+def pieces_of(
+    cells: NDArray[np.bool_],
+) -> tuple[NDArray[np.int32], NDArray[np.int64], list[tuple[slice, ...]]]:
     """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells."""
-    # int32 labels, (N + 1,) sizes, (N + 1, 2, 3) first cells and ends of bounds; other cells have label and size 0.
+    # int32 labels, 0 for other cells; (N,) sizes and bounds.
     labels, count = ndimage.label(cells)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    sizes[0] = 0
-    bounds = np.zeros((count + 1, 2, 3), np.int64)
-    for n, window in enumerate(ndimage.find_objects(labels) if count else (), start=1):
-        bounds[n] = [side.start for side in window], [side.stop for side in window]
-    return labels, sizes, bounds
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return labels, sizes, ndimage.find_objects(labels) if count else []
 
 
 def piece_around(cells: NDArray[np.bool_], i: int, j: int, k: int) -> NDArray[np.bool_]:

@@ -134,12 +134,14 @@ def _triangles(
     corners: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     # The corners, unit normals and areas of the triangles that have a normal.
-    (ax, ay, az), (bx, by, bz) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
-    normals = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
-    lengths = np.sqrt(normals[:, 0] ** 2 + normals[:, 1] ** 2 + normals[:, 2] ** 2)
+    a, b, c = corners.transpose(1, 2, 0).copy()
+    (ax, ay, az), (bx, by, bz) = b - a, c - a
+    normals = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    lengths = np.sqrt(normals[0] ** 2 + normals[1] ** 2 + normals[2] ** 2)
     has_normal = ~(lengths < 1e-12)
-    normals, lengths = normals[has_normal], lengths[has_normal]
-    return corners[has_normal], normals / lengths[:, None], 0.5 * lengths
+    if not has_normal.all():
+        corners, normals, lengths = corners[has_normal], normals[:, has_normal], lengths[has_normal]
+    return corners, (normals / lengths).T.copy(), 0.5 * lengths
 
 
 _MOST_SAMPLES = 60_000
@@ -163,8 +165,8 @@ def _inward_reach(
 def _fill_reach(corners, normals, areas, mains, sides, inside, reach, shares, patches):
     count = 0
     for f in range(len(corners)):
-        t, normal, main, side = corners[f], normals[f], mains[f], sides[f]
-        is_up = normal[main] > 0.0
+        t, main, side = corners[f], mains[f], sides[f]
+        is_up = normals[f, main] > 0.0
         for i in range(side):
             for j in range(side - i):
                 if count == len(reach):
@@ -173,7 +175,7 @@ def _fill_reach(corners, normals, areas, mains, sides, inside, reach, shares, pa
                 x = t[0, 0] + a * (t[1, 0] - t[0, 0]) + b * (t[2, 0] - t[0, 0])
                 y = t[0, 1] + a * (t[1, 1] - t[0, 1]) + b * (t[2, 1] - t[0, 1])
                 z = t[0, 2] + a * (t[1, 2] - t[0, 2]) + b * (t[2, 2] - t[0, 2])
-                if is_buried(inside, x, y, z, normal):
+                if is_buried(inside, x, y, z, normals, f):
                     continue
                 deepest = 0.0
                 for n in range(16):
@@ -211,57 +213,61 @@ def lower_to_distances(
     # `corners` (F, 3, 3) and `band` in cells; `squared` (nx, ny, nz) in C order is at most band^2. Only the surface of
     # the solid counts, not one part's inside another.
     corners, normals, _ = _triangles(corners)
-    middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
-    x, y, z = (corners - middles[:, None]).transpose(2, 1, 0)
-    radii2 = (x * x + y * y + z * z).max(axis=0)
-    low = np.maximum(np.ceil(corners.min(axis=1) - band), 0).astype(np.int64)
-    high = np.minimum(np.floor(corners.max(axis=1) + band).astype(np.int64) + 1, squared.shape)
+    a, b, c = corners.transpose(1, 2, 0).copy()
+    middles = (a + b + c) / 3.0
+    squares = [(x * x + y * y) + z * z for x, y, z in (corner - middles for corner in (a, b, c))]
+    radii2 = np.maximum(np.maximum(squares[0], squares[1]), squares[2])
+    low = np.ceil(np.minimum(np.minimum(a, b), c) - band).astype(np.int64).T
+    high = np.floor(np.maximum(np.maximum(a, b), c) + band).astype(np.int64).T
+    bounds = np.concatenate([np.maximum(low, 0), np.minimum(high + 1, squared.shape)], axis=1)
     block, where = np.ones(_COLUMNS * _ROOM), np.empty((2, _ROOM), np.int64)
-    _lower_all(corners, normals, middles, radii2, low, high, band, inside, squared, block, where)
+    _lower_all(corners, normals, middles.T.copy(), radii2, bounds, band, inside, squared, block, where)
 
 
 @kernel(error_model="numpy")
-def _lower_all(corners, normals, middles, radii2, low, high, band, inside, squared, block, where):
+def _lower_all(corners, normals, middles, radii2, bounds, band, inside, squared, block, where):
     _, size_y, size_z = squared.shape
     cells = squared.reshape(-1)
     for f in range(len(corners)):
+        middle_x, middle_y = middles[f, 0], middles[f, 1]
         # Rows that pass the bounding ball by more than the band have no cell within it.
         reach2 = (np.sqrt(radii2[f]) + band) ** 2 * (1.0 + 1e-6)
         count = np.int64(0)
-        for i in range(low[f, 0], high[f, 0]):
-            for j in range(low[f, 1], high[f, 1]):
-                if (i - middles[f, 0]) ** 2 + (j - middles[f, 1]) ** 2 >= reach2:
+        for i in range(bounds[f, 0], bounds[f, 3]):
+            for j in range(bounds[f, 1], bounds[f, 4]):
+                if (i - middle_x) ** 2 + (j - middle_y) ** 2 >= reach2:
                     continue
                 row = (i * size_y + j) * size_z
-                for k in range(low[f, 2], high[f, 2]):
+                for k in range(bounds[f, 2], bounds[f, 5]):
                     block[_X + count], block[_Y + count], block[_Z + count] = i, j, k
                     block[_KNOWN + count] = cells[row + k]
                     where[0, count] = row + k
                     count += 1
                     if count == _ROOM:
-                        _lower(corners[f], normals[f], middles[f], radii2[f], inside, cells, block, where, count)
+                        _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count)
                         count = np.int64(0)
-        _lower(corners[f], normals[f], middles[f], radii2[f], inside, cells, block, where, count)
+        _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count)
 
 
 @kernel(error_model="numpy")
-def _lower(t, normal, middle, radius2, inside, cells, block, where, count):
-    num_near = _gather_near(block, where, count, normal, middle, radius2)
-    _fill_squared(block, num_near, t)
+def _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count):
+    num_near = _gather_near(block, where, count, normals, middles, radii2[f], f)
+    _fill_squared(block, num_near, corners, f)
     for n in range(num_near):
         if block[_SQUARED + n] < block[_NEAR_KNOWN + n]:
             v, w = block[_ALONG_AB + n], block[_ALONG_AC + n]
+            t = corners[f]
             x = t[0, 0] + v * (t[1, 0] - t[0, 0]) + w * (t[2, 0] - t[0, 0])
             y = t[0, 1] + v * (t[1, 1] - t[0, 1]) + w * (t[2, 1] - t[0, 1])
             z = t[0, 2] + v * (t[1, 2] - t[0, 2]) + w * (t[2, 2] - t[0, 2])
-            if not is_buried(inside, x, y, z, normal):
+            if not is_buried(inside, x, y, z, normals, f):
                 cells[where[1, n]] = block[_SQUARED + n]
 
 
 @kernel(error_model="numpy")
-def _gather_near(block, where, count, normal, middle, radius2):
+def _gather_near(block, where, count, normals, middles, radius2, f):
     # By the triangle's plane and bounding ball, which are lower bounds of the distance.
-    n0, n1, n2, m0, m1, m2 = normal[0], normal[1], normal[2], middle[0], middle[1], middle[2]
+    n0, n1, n2, m0, m1, m2 = normals[f, 0], normals[f, 1], normals[f, 2], middles[f, 0], middles[f, 1], middles[f, 2]
     for n in range(count):
         x, y, z = block[_X + n] - m0, block[_Y + n] - m1, block[_Z + n] - m2
         known = (1.0 - 1e-5) * block[_KNOWN + n]
@@ -281,11 +287,11 @@ def _gather_near(block, where, count, normal, middle, radius2):
 
 
 @kernel(error_model="numpy")
-def _fill_squared(block, count, t):
+def _fill_squared(block, count, corners, f):
     # Nearest points a + v ab + w ac: Ericson, Real-Time Collision Detection (2005), 5.1.5.
-    a0, a1, a2 = t[0, 0], t[0, 1], t[0, 2]
-    abx, aby, abz = t[1, 0] - a0, t[1, 1] - a1, t[1, 2] - a2
-    acx, acy, acz = t[2, 0] - a0, t[2, 1] - a1, t[2, 2] - a2
+    a0, a1, a2 = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+    abx, aby, abz = corners[f, 1, 0] - a0, corners[f, 1, 1] - a1, corners[f, 1, 2] - a2
+    acx, acy, acz = corners[f, 2, 0] - a0, corners[f, 2, 1] - a1, corners[f, 2, 2] - a2
     bb, bc, cc = (
         abx * abx + aby * aby + abz * abz,
         abx * acx + aby * acy + abz * acz,
@@ -320,13 +326,13 @@ def _fill_squared(block, count, t):
 
 
 @kernel
-def is_buried(inside, x, y, z, normal):
+def is_buried(inside, x, y, z, normals, f):
     """Return whether the solid continues on both sides of a point of a triangle, at most of a cell's distance."""
     for n in range(2):
         side = 1.5 * n - 0.75
-        i = int(np.floor(x + side * normal[0] + 0.5))
-        j = int(np.floor(y + side * normal[1] + 0.5))
-        k = int(np.floor(z + side * normal[2] + 0.5))
+        i = int(np.floor(x + side * normals[f, 0] + 0.5))
+        j = int(np.floor(y + side * normals[f, 1] + 0.5))
+        k = int(np.floor(z + side * normals[f, 2] + 0.5))
         if i < 0 or j < 0 or k < 0 or i >= inside.shape[0] or j >= inside.shape[1] or k >= inside.shape[2]:
             return False
         if not inside[i, j, k]:

@@ -33,6 +33,7 @@ class FitField:
         self._occupancies: dict[bytes, NDArray[np.float32]] = {}
         self._speaking: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
         self._band_cells: NDArray[np.int64] | None = None
+        self._workspace = (new_block(), np.empty((8, BLOCK)))
         self.volume = float(self._object.sum(dtype=np.float64))
 
     @property
@@ -107,13 +108,9 @@ class FitField:
 
     def gain(self, row: NDArray[np.float64], max_samples: int) -> float:
         """Return the explained volume that a primitive adds, less the penalty, by about `max_samples` cells."""
-        low, high = window = _window(row, 1.0, self._object.shape)
-        stride = max(int((high - low).prod()) // max_samples, 1) | 1
-        total = _gain(
-            self._object, self._covered, row, body_of(row), window, stride, self._waste_weight, new_block(),
-            np.empty((8, BLOCK)),
-        )  # fmt: skip
-        return float(total * stride)
+        body, window = body_of(row), _window(row, 1.0, self._object.shape)
+        workspace = self._workspace
+        return float(_gain(self._object, self._covered, row, body, window, max_samples, self._waste_weight, *workspace))
 
     def fitted(self, row: NDArray[np.float64], max_samples: int, iterations: int) -> NDArray[np.float64]:
         """Return the primitive fitted to the unexplained volume in its neighbourhood."""
@@ -143,15 +140,17 @@ class FitField:
         # Beyond the grid nothing limits the growth of a thin primitive.
         low, high = _window(row, 1.0, self._object.shape)
         part = self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
-        found = np.flatnonzero(part.ravel() < np.float32(0.5))
+        found = np.flatnonzero(part < np.float32(0.5))
         found = found[thinned(len(found), max_samples)]
-        cells = (low + np.stack(np.unravel_index(found, part.shape), axis=1)).astype(np.float64)
+        line, k = np.divmod(found, part.shape[2])
+        i, j = np.divmod(line, part.shape[1])
+        cells = np.stack([i + low[0], j + low[1], k + low[2]], axis=1).astype(np.float64)
         own = cells[distances_of(row, cells, np.inf) < 0.5]
         if len(own) == 0:
             return row
-        along = portable.matmul(own - row[5:8], row[8:17].reshape(3, 3))
+        along = portable.matmul(row[8:17].reshape(3, 3).T, (own - row[5:8]).T)
         half = exp_each(row[2:5])
-        first, last = np.maximum(along.min(axis=0) - 0.5, -half), np.minimum(along.max(axis=0) + 0.5, half)
+        first, last = np.maximum(along.min(axis=1) - 0.5, -half), np.minimum(along.max(axis=1) + 0.5, half)
         out = row.copy()
         out[2:5] = portable.log(np.maximum((last - first) / 2.0, 0.25))
         out[5:8] += portable.matmul(row[8:17].reshape(3, 3), (first + last) / 2.0)
@@ -176,10 +175,11 @@ def _fill_window(row, margin, shape, window):
 
 
 @kernel
-def _gain(inside, covered, row, body, window, stride, waste_weight, block, room):
+def _gain(inside, covered, row, body, window, max_samples, waste_weight, block, room):
     # `room` (8, BLOCK): cells, their shares, and how far they are covered, of a round and of the block.
     size_y, size_z = window[1, 1] - window[0, 1], window[1, 2] - window[0, 2]
     size = (window[1, 0] - window[0, 0]) * size_y * size_z
+    stride = max(size // max_samples, 1) | 1
     total, count, m, is_left = 0.0, np.int64(0), 0, True
     while is_left:
         num_cells = 0
@@ -217,7 +217,7 @@ def _gain(inside, covered, row, body, window, stride, waste_weight, block, room)
                 count = np.int64(0)
     if count > 0:
         total += _gain_of_block(block, count, row, room, waste_weight)
-    return total
+    return total * stride
 
 
 @kernel

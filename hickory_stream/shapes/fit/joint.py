@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import exp_each
 from hickory_stream.shapes.fit.quadric_lm import OUTER_BAND, ROW, cut_distances, new_workspace, normal_step
@@ -143,9 +144,20 @@ def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
 
 
 def _near(row: NDArray[np.float64], points: NDArray[np.float64], band: float) -> NDArray[np.int64]:
-    local = np.abs(portable.matmul(points - row[5:8], row[8:17].reshape(3, 3)))
-    x, y, z = (exp_each(row[2:5]) + band + 1.0).tolist()
-    return np.flatnonzero((local[:, 0] < x) & (local[:, 1] < y) & (local[:, 2] < z))
+    out = np.empty(len(points), np.bool_)
+    _mark_near(row, points, *(exp_each(row[2:5]) + band + 1.0).tolist(), out)
+    return np.flatnonzero(out)
+
+
+@kernel
+def _mark_near(row, points, reach_x, reach_y, reach_z, out):
+    for n in range(len(points)):
+        dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
+        out[n] = (
+            abs(row[8] * dx + row[11] * dy + row[14] * dz) < reach_x
+            and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach_y
+            and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach_z
+        )
 
 
 def _union(rows: NDArray[np.float64], points: NDArray[np.float64], band: float) -> NDArray[np.float64]:

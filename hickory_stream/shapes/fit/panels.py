@@ -174,9 +174,10 @@ def _is_bent(extents: NDArray[np.float64], thickness: float) -> bool:
 def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # Larger by the thickness, so that the two sides of a panel are not worth a box each; the longest axis last.
     points = corners.reshape(-1, 3)
-    off = points - portable.matmul(np.ones(len(points)), points) / len(points)
-    axes = portable.eigh(portable.matmul(off.T, off))[1]
-    return np.ptp(portable.matmul(off, axes), axis=0) + thickness, axes
+    # NumPy is slow along short rows.
+    off = (points - portable.matmul(np.ones(len(points)), points) / len(points)).T.copy()
+    axes = portable.eigh(portable.matmul(off, off.T))[1]
+    return np.ptp(portable.matmul(axes.T, off), axis=1) + thickness, axes
 
 
 def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_Part]:

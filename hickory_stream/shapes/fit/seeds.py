@@ -27,8 +27,9 @@ def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns, the principal axes of (N, 3) cells."""
-    off = cells - cells.sum(axis=0) / len(cells)
-    axes = portable.eigh(portable.matmul(off.T, off) / len(cells))[1]
+    places = cells.T.astype(np.float64)
+    off = places - (places.sum(axis=1) / len(cells))[:, None]
+    axes = portable.eigh(portable.matmul(off, off.T) / len(cells))[1]
     if portable.det3(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     return axes
@@ -36,8 +37,8 @@ def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
 
 def bounds_along(cells: NDArray[np.int64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (2, 3) the least and the greatest coordinates of (N, 3) cells along the columns of `axes` (3, 3)."""
-    along = portable.matmul(cells.astype(np.float64), axes)
-    return np.stack([along.min(axis=0), along.max(axis=0)])
+    along = portable.matmul(axes.T, cells.T.astype(np.float64))
+    return np.stack([along.min(axis=1), along.max(axis=1)])
 
 
 @kernel

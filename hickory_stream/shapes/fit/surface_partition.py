@@ -29,7 +29,7 @@ def owned_pieces(
     points, distances = np.empty((len(vertices) + most, 3)), np.empty((len(vertices) + most, len(rows)))
     points[: len(vertices)], distances[: len(vertices)] = vertices, _distances(vertices, rows).T
     # Most triangles are not outside.
-    farthest = distances[faces].max(axis=1)
+    farthest = np.maximum(np.maximum(distances[faces[:, 0]], distances[faces[:, 1]]), distances[faces[:, 2]])
     owners, outsides = farthest.argmin(axis=1), farthest.min(axis=1)
     is_out = outsides > tolerance
     # How many pieces there is room for when it is a triangle's turn.

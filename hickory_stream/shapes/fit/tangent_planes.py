@@ -80,7 +80,7 @@ def fill_distances(block, count, row, depth):
     _from_centre(block, row)
     smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
     which = np.empty(BLOCK, np.int64)
-    num_inside = 0
+    num_inside = np.int64(0)
     for n in range(count):
         if block[_LOG_H + n] >= 0.0:
             continue
@@ -100,13 +100,13 @@ def fill_distances(block, count, row, depth):
     if num_inside == 0:
         return
     _along_axes(block, num_inside, row)
-    for m in range(num_inside):
-        n = which[m]
-        if block[_IN_RHO + m] > 0.0:
-            block[DISTANCE + n] = -block[_IN_BEST + m]
-            block[GX + n], block[GY + n], block[GZ + n] = block[_IN_X + m], block[_IN_Y + m], block[_IN_Z + m]
-            block[SX + n], block[SY + n] = block[_IN_SX + m], block[_IN_SY + m]
-            block[SR + n], block[SZ + n] = block[_IN_SR + m], block[_IN_SZ + m]
+    for i in range(num_inside):
+        n = which[i]
+        if block[_IN_RHO + i] > 0.0:
+            block[DISTANCE + n] = -block[_IN_BEST + i]
+            block[GX + n], block[GY + n], block[GZ + n] = block[_IN_X + i], block[_IN_Y + i], block[_IN_Z + i]
+            block[SX + n], block[SY + n] = block[_IN_SX + i], block[_IN_SY + i]
+            block[SR + n], block[SZ + n] = block[_IN_SR + i], block[_IN_SZ + i]
 
 
 @kernel(error_model="numpy")

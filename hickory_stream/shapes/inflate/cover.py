@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import exp, log, log1p
+from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p
 
 # Subdivisions n per side of the net of directions over the octant: (n + 1)(n + 2) / 2 directions.
 _NET = 5
@@ -53,22 +53,29 @@ def least_axes(
 ) -> NDArray[np.float64]:
     """Return the semi-axes of about the least volume, none below `before`, with ln h <= limit at (N, 3) points >= 0."""
     # A simplex search over the two ratios of the axes. Containment is exact: the scale follows from the worst point.
-    logs, floor = portable.log(np.maximum(points, 1e-200)), portable.log(before)
+    logs = portable.log(np.maximum(points, 1e-200).T)
+    floor = portable.log(before).tolist()
 
-    def scaled(ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.maximum(ratios + _scale(logs, *ratios.tolist(), e1, e2, limit), floor))
+    def scaled(ratios: list[float]) -> list[float]:
+        scale = _scale(logs, *ratios, e1, e2, limit)
+        return [max(ratio + scale, least) for ratio, least in zip(ratios, floor, strict=True)]
 
     best = scaled(floor)
-    if (best <= floor + 1e-12).all():
+    if all(one <= least + 1e-12 for one, least in zip(best, floor, strict=True)):
         return before.copy()
-    by_extent = scaled(np.maximum(logs.max(axis=0), floor))
-    start = by_extent if by_extent.sum() < best.sum() else best
-    # Three vertices, and room for two more: log ratios of y and z to x, and the size.
-    simplex = np.zeros((5, 3))
-    simplex[:3, :2] = start[1:] - start[0] + np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
-    _descend(simplex, logs, floor, e1, e2, limit)
-    found = scaled(np.array([0.0, *simplex[0, :2]]))
-    return portable.exp(found if found.sum() < start.sum() else start)
+    by_extent = scaled([max(one, least) for one, least in zip(logs.max(axis=1).tolist(), floor, strict=True)])
+    start = by_extent if _total(*by_extent) < _total(*best) else best
+    # Three vertices: log ratios of y and z to x, and the size.
+    y, z = start[1] - start[0], start[2] - start[0]
+    simplex = np.array([[y, z, 0.0], [y + 0.3, z, 0.0], [y, z + 0.3, 0.0]])
+    _descend(simplex, logs, *floor, e1, e2, limit)
+    found = scaled([0.0, *simplex[0, :2].tolist()])
+    return exp_each(np.array(found if _total(*found) < _total(*start) else start))
+
+
+def _total(x: float, y: float, z: float) -> float:
+    # Python's own sum is of more than double precision since 3.12.
+    return x + y + z
 
 
 def local_abs(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -143,8 +150,8 @@ def log_gauge_of_ball(x, y, z, radius, a, b, c, e1, e2, limit, net, factor):
 def _scale(logs, x, y, z, e1, e2, limit):
     # What must be added to log axes so that the body holds all points, given by their logarithms.
     worst = -1e300
-    for n in range(len(logs)):
-        u, v, w = logs[n, 0] - x, logs[n, 1] - y, logs[n, 2] - z
+    for n in range(logs.shape[1]):
+        u, v, w = logs[0, n] - x, logs[1, n] - y, logs[2, n] - z
         high = max(u, v)
         log_rho = high + 0.5 * e2 * log1p(exp(2.0 / e2 * (min(u, v) - high)))
         top = max(log_rho, w)
@@ -153,49 +160,46 @@ def _scale(logs, x, y, z, e1, e2, limit):
 
 
 @kernel
-def _measure(simplex, n, y, z, logs, floor, e1, e2, limit):
-    # Puts a vertex and its size, the sum of the log axes raised to the floor, into a row.
+def _size(y, z, logs, floor_x, floor_y, floor_z, e1, e2, limit):
+    # The sum of the log axes, raised to the floor, of a vertex.
     scale = _scale(logs, 0.0, y, z, e1, e2, limit)
-    size = max(scale, floor[0]) + max(y + scale, floor[1]) + max(z + scale, floor[2])
-    simplex[n, 0], simplex[n, 1], simplex[n, 2] = y, z, size
-    return size
+    return max(scale, floor_x) + max(y + scale, floor_y) + max(z + scale, floor_z)
 
 
 @kernel
-def _descend(simplex, logs, floor, e1, e2, limit):
-    # Nelder and Mead (1965); the best vertex ends as the first. Rows 3 and 4 are trials.
+def _descend(simplex, logs, floor_x, floor_y, floor_z, e1, e2, limit):
+    # Nelder and Mead (1965); the best vertex ends as the first.
     for n in range(3):
-        _measure(simplex, n, simplex[n, 0], simplex[n, 1], logs, floor, e1, e2, limit)
+        y, z = simplex[n, 0], simplex[n, 1]
+        simplex[n, 2] = _size(y, z, logs, floor_x, floor_y, floor_z, e1, e2, limit)
     for step in range(51):
         for last in range(1, 3):
             n = last
             while n > 0 and simplex[n, 2] < simplex[n - 1, 2]:
-                _copy(simplex, n, 3)
-                _copy(simplex, n - 1, n)
-                _copy(simplex, 3, n - 1)
+                for i in range(3):
+                    simplex[n, i], simplex[n - 1, i] = simplex[n - 1, i], simplex[n, i]
                 n -= 1
         if step == 50 or simplex[2, 2] - simplex[0, 2] < 2e-4:
             return
-        y, z = 0.5 * (simplex[0, 0] + simplex[1, 0]), 0.5 * (simplex[0, 1] + simplex[1, 1])
+        middle_y, middle_z = 0.5 * (simplex[0, 0] + simplex[1, 0]), 0.5 * (simplex[0, 1] + simplex[1, 1])
         last_y, last_z = simplex[2, 0], simplex[2, 1]
-        size = _measure(simplex, 3, 2.0 * y - last_y, 2.0 * z - last_z, logs, floor, e1, e2, limit)
+        y, z = 2.0 * middle_y - last_y, 2.0 * middle_z - last_z
+        size = _size(y, z, logs, floor_x, floor_y, floor_z, e1, e2, limit)
         if size < simplex[0, 2]:
-            _measure(simplex, 4, 3.0 * y - 2.0 * last_y, 3.0 * z - 2.0 * last_z, logs, floor, e1, e2, limit)
-            _copy(simplex, 4 if simplex[4, 2] < size else 3, 2)
-        elif size < simplex[1, 2]:
-            _copy(simplex, 3, 2)
-        elif _measure(simplex, 3, 0.5 * (y + last_y), 0.5 * (z + last_z), logs, floor, e1, e2, limit) < simplex[2, 2]:
-            _copy(simplex, 3, 2)
-        else:
-            for n in range(1, 3):
-                y, z = 0.5 * (simplex[0, 0] + simplex[n, 0]), 0.5 * (simplex[0, 1] + simplex[n, 1])
-                _measure(simplex, n, y, z, logs, floor, e1, e2, limit)
-
-
-@kernel
-def _copy(rows, source, target):
-    for i in range(3):
-        rows[target, i] = rows[source, i]
+            far_y, far_z = 3.0 * middle_y - 2.0 * last_y, 3.0 * middle_z - 2.0 * last_z
+            other = _size(far_y, far_z, logs, floor_x, floor_y, floor_z, e1, e2, limit)
+            if other < size:
+                y, z, size = far_y, far_z, other
+        elif size >= simplex[1, 2]:
+            y, z = 0.5 * (middle_y + last_y), 0.5 * (middle_z + last_z)
+            size = _size(y, z, logs, floor_x, floor_y, floor_z, e1, e2, limit)
+            if size >= simplex[2, 2]:
+                for n in range(1, 3):
+                    y, z = 0.5 * (simplex[0, 0] + simplex[n, 0]), 0.5 * (simplex[0, 1] + simplex[n, 1])
+                    simplex[n, 0], simplex[n, 1] = y, z
+                    simplex[n, 2] = _size(y, z, logs, floor_x, floor_y, floor_z, e1, e2, limit)
+                continue
+        simplex[2, 0], simplex[2, 1], simplex[2, 2] = y, z, size
 
 
 @kernel(error_model="numpy")

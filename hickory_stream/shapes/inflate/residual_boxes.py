@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 
 # A split must save at least this share of the volume of all boxes.
@@ -86,11 +87,12 @@ def _of_corners(reduced: np.ufunc, triangles: NDArray[np.float64]) -> NDArray[np
 def _best_cut(lows: NDArray[np.float64], highs: NDArray[np.float64], margin: float) -> tuple[NDArray[np.bool_], float]:
     # (N,) triangles on the first side of the best plane, and the volume of both boxes; planes normal to the axes of F
     # frames.
-    lows, highs = lows.transpose(0, 2, 1), highs.transpose(0, 2, 1)
-    side, least = np.zeros(lows.shape[2], np.bool_), np.inf
-    for middles in (lows + highs).reshape(-1, len(side)) if len(side) > 1 else ():
+    side, least = np.zeros(lows.shape[1], np.bool_), np.inf
+    before, after = np.empty((2, len(side)))
+    for middles in (lows + highs).transpose(0, 2, 1).reshape(-1, len(side)) if len(side) > 1 else ():
         order = np.argsort(middles, kind="stable")
-        before, after = (_volumes_from_first(lows[..., own], highs[..., own], margin) for own in (order, order[::-1]))
+        _fill_volumes(lows, highs, order, margin, before)
+        _fill_volumes(lows, highs, order[::-1].copy(), margin, after)
         volumes = before[:-1] + after[-2::-1]
         at = int(volumes.argmin())
         if volumes[at] < least:
@@ -100,10 +102,17 @@ def _best_cut(lows: NDArray[np.float64], highs: NDArray[np.float64], margin: flo
     return side, least
 
 
-def _volumes_from_first(lows: NDArray[np.float64], highs: NDArray[np.float64], margin: float) -> NDArray[np.float64]:
-    low, high = np.minimum.accumulate(lows, axis=2), np.maximum.accumulate(highs, axis=2)
-    x, y, z = (high - low + 2.0 * margin).transpose(1, 0, 2)
-    return np.asarray((x * y * z).min(axis=0))
+@kernel
+def _fill_volumes(lows, highs, order, margin, out):
+    # Of the boxes around the first of the triangles, in the better frame.
+    for frame in range(len(lows)):
+        a, b, c, x, y, z = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
+        for n in range(len(order)):
+            i = order[n]
+            a, b, c = min(a, lows[frame, i, 0]), min(b, lows[frame, i, 1]), min(c, lows[frame, i, 2])
+            x, y, z = max(x, highs[frame, i, 0]), max(y, highs[frame, i, 1]), max(z, highs[frame, i, 2])
+            volume = (x - a + 2.0 * margin) * (y - b + 2.0 * margin) * (z - c + 2.0 * margin)
+            out[n] = volume if frame == 0 else min(out[n], volume)
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
