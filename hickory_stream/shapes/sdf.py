@@ -96,15 +96,15 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
     out = np.zeros(shape, np.float32)
     for axis in range(3):
         turned = (axis, (axis + 1) % 3, (axis + 2) % 3)
-        steps = np.zeros([shape[i] for i in turned], np.float32)
-        _cross(corners, *turned, steps)
-        out += np.cumsum(steps, axis=0).transpose(np.argsort(turned))
+        sums = np.zeros([shape[i] for i in turned], np.float32)
+        _fill_crossings(corners, *turned, sums)
+        out += sums.transpose(np.argsort(turned))
     return np.asarray(sign * out / 3)
 
 
 @kernel(error_model="numpy")
-def _cross(corners, axis, across, up, steps):
-    # `steps` begin with the axis: sums along it are winding numbers.
+def _fill_crossings(corners, axis, across, up, sums):
+    # From one side: `sums` (of zeros) begin with the axis that is crossed along.
     # A small irrational offset from the lattice, so that no line runs along an edge of a regular mesh.
     dy, dz = 1.2360679e-4, 1.7320508e-4
     for f in range(len(corners)):
@@ -116,8 +116,8 @@ def _cross(corners, axis, across, up, steps):
         sign = 1.0 if area > 0.0 else -1.0
         first_j, last_j = max(int(np.ceil(min(y0, y1, y2))), 0), int(np.floor(max(y0, y1, y2)))
         first_k, last_k = max(int(np.ceil(min(z0, z1, z2))), 0), int(np.floor(max(z0, z1, z2)))
-        for j in range(first_j, min(last_j + 1, steps.shape[1])):
-            for k in range(first_k, min(last_k + 1, steps.shape[2])):
+        for j in range(first_j, min(last_j + 1, sums.shape[1])):
+            for k in range(first_k, min(last_k + 1, sums.shape[2])):
                 w0 = ((y1 - j) * (z2 - k) - (y2 - j) * (z1 - k)) / area
                 w1 = ((y2 - j) * (z0 - k) - (y0 - j) * (z2 - k)) / area
                 w2 = 1.0 - w0 - w1
@@ -125,9 +125,13 @@ def _cross(corners, axis, across, up, steps):
                     continue
                 last = int(np.floor(w0 * corners[f, 0, axis] + w1 * corners[f, 1, axis] + w2 * corners[f, 2, axis]))
                 # An outward face with its normal along the axis lies ahead of the solid, one against it behind.
-                steps[0, j, k] += 0.5 * sign if last >= 0 else -0.5 * sign
-                if 0 <= last < len(steps) - 1:
-                    steps[last + 1, j, k] -= sign
+                sums[0, j, k] += 0.5 * sign if last >= 0 else -0.5 * sign
+                if 0 <= last < len(sums) - 1:
+                    sums[last + 1, j, k] -= sign
+    for i in range(1, len(sums)):
+        for j in range(sums.shape[1]):
+            for k in range(sums.shape[2]):
+                sums[i, j, k] += sums[i - 1, j, k]
 
 
 def _triangles(
@@ -253,10 +257,10 @@ def _lower_all(corners, normals, middles, radii2, bounds, band, inside, squared,
 def _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count):
     num_near = _gather_near(block, where, count, normals, middles, radii2[f], f)
     _fill_squared(block, num_near, corners, f)
+    t = corners[f]
     for n in range(num_near):
         if block[_SQUARED + n] < block[_NEAR_KNOWN + n]:
             v, w = block[_ALONG_AB + n], block[_ALONG_AC + n]
-            t = corners[f]
             x = t[0, 0] + v * (t[1, 0] - t[0, 0]) + w * (t[2, 0] - t[0, 0])
             y = t[0, 1] + v * (t[1, 1] - t[0, 1]) + w * (t[2, 1] - t[0, 1])
             z = t[0, 2] + v * (t[1, 2] - t[0, 2]) + w * (t[2, 2] - t[0, 2])

@@ -177,7 +177,8 @@ def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.flo
     # NumPy is slow along short rows.
     off = (points - portable.matmul(np.ones(len(points)), points) / len(points)).T.copy()
     axes = portable.eigh(portable.matmul(off, off.T))[1]
-    return np.ptp(portable.matmul(axes.T, off), axis=1) + thickness, axes
+    along = portable.matmul(axes.T, off)
+    return along.max(axis=1) - along.min(axis=1) + thickness, axes
 
 
 def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_Part]:

@@ -27,10 +27,12 @@ def owned_pieces(
     # while that is more than `tolerance` outside of all primitives, until its edges are shorter than `min_edge`.
     most = len(faces) + _MOST_PIECES
     points, distances = np.empty((len(vertices) + most, 3)), np.empty((len(vertices) + most, len(rows)))
-    points[: len(vertices)], distances[: len(vertices)] = vertices, _distances(vertices, rows).T
+    near = _distances(vertices, rows)
+    points[: len(vertices)], distances[: len(vertices)] = vertices, near.T
     # Most triangles are not outside.
-    farthest = np.maximum(np.maximum(distances[faces[:, 0]], distances[faces[:, 1]]), distances[faces[:, 2]])
-    owners, outsides = farthest.argmin(axis=1), farthest.min(axis=1)
+    a, b, c = faces.T
+    farthest = np.maximum(np.maximum(near[:, a], near[:, b]), near[:, c])
+    owners, outsides = farthest.argmin(axis=0), farthest.min(axis=0)
     is_out = outsides > tolerance
     # How many pieces there is room for when it is a triangle's turn.
     room = most - 2 - np.arange(len(faces), 0, -1) - np.cumsum(~is_out)

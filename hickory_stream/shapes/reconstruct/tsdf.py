@@ -106,7 +106,7 @@ def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
         )
         carve = np.where(view.depth_m > 0, nearest, np.float32(np.nan))
         # Pixels at the border of the mask may have a depth from behind the object.
-        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+        cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
         inner = cv2.erode(view.mask.view(np.uint8), cross, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
         cosine = np.ones_like(depth)
         _fill_cosine(depth, camera.fx, camera.fy, cosine)
