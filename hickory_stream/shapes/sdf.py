@@ -98,7 +98,7 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
         turned = (axis, (axis + 1) % 3, (axis + 2) % 3)
         sums = np.zeros([shape[i] for i in turned], np.float32)
         _fill_crossings(corners, *turned, sums)
-        out += sums.transpose(np.argsort(turned))
+        out += sums.transpose([(i - axis) % 3 for i in range(3)])
     return np.asarray(sign * out / 3)
 
 
@@ -141,7 +141,8 @@ def _triangles(
     a, b, c = corners.transpose(1, 2, 0).copy()
     (ax, ay, az), (bx, by, bz) = b - a, c - a
     normals = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-    lengths = np.sqrt(normals[0] ** 2 + normals[1] ** 2 + normals[2] ** 2)
+    x, y, z = normals
+    lengths = np.sqrt(x * x + y * y + z * z)
     has_normal = ~(lengths < 1e-12)
     if not has_normal.all():
         corners, normals, lengths = corners[has_normal], normals[:, has_normal], lengths[has_normal]

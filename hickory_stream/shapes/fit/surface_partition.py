@@ -30,7 +30,7 @@ def owned_pieces(
     near = _distances(vertices, rows)
     points[: len(vertices)], distances[: len(vertices)] = vertices, near.T
     # Most triangles are not outside.
-    a, b, c = faces.T
+    a, b, c = faces.T.copy()
     farthest = np.maximum(np.maximum(near[:, a], near[:, b]), near[:, c])
     owners, outsides = farthest.argmin(axis=0), farthest.min(axis=0)
     is_out = outsides > tolerance
