@@ -109,7 +109,7 @@ def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
         cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
         inner = cv2.erode(view.mask.view(np.uint8), cross, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
         cosine = np.ones_like(depth)
-        _fill_cosine(depth, camera.fx, camera.fy, cosine)
+        _fill_cosine(depth, float(camera.fx), float(camera.fy), cosine)
         _integrate(
             total, near, free, camera_from_grid, grid.voxel_m,
             depth, cosine, carve, view.mask, inner, intrinsics, view.law, view.trust,
