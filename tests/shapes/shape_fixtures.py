@@ -6,6 +6,7 @@ import trimesh
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
 from hickory_stream.pictures.open3d_import import import_open3d
@@ -155,3 +156,55 @@ def shaded(
         light = np.where(facing[here] > 0, 0.35 + 0.65 * facing[here], 0.1)
         picture[here] = face_colors[faces[here]] * light[:, None]
     return picture.clip(0, 255).astype(np.uint8)
+
+
+def tangent_distance(row: np.ndarray, point: np.ndarray, depth: float) -> float:
+    """Return the distance of one point to a tangent plane of a primitive (`tangent_planes`), in plain Python."""
+    e1, e2, log_a, log_b, log_c = row[:5].tolist()
+    dx, dy, dz = (np.asarray(point) - row[5:8]).tolist()
+    r = row[8:17].tolist()
+    local = (r[i] * dx + r[3 + i] * dy + r[6 + i] * dz for i in range(3))
+    px, py, pz = (along if abs(along) > 1e-6 else 1e-6 for along in local)
+    log_x, log_y, log_z = log(abs(px)) - log_a, log(abs(py)) - log_b, log(abs(pz)) - log_c
+    log_rho, share_x, share_y = _softmax(log_x, log_y, e2)
+    log_h, share_r, share_z = _softmax(log_rho, log_z, e1)
+    slope = _length(share_r * share_x / px, share_r * share_y / py, share_z / pz)
+    if log_h >= 0.0:
+        return (1.0 - exp(-log_h)) / slope
+    h = max(exp(log_h), 1e-200)
+    smallest = exp(min(log_a, log_b, log_c)) * (1.0 if e1 <= 1.0 and e2 <= 1.0 else 0.57735)
+    if (1.0 - h) * smallest > depth:
+        return -(1.0 - h) * smallest
+    best = (1.0 / h - 1.0) / slope
+    # The surface along each axis, and the shares there.
+    whole = exp(2.0 / e1 * log_h)
+    in_plane, along_z = share_r * whole, share_z * whole
+    rest_z, rest_r = max(1.0 - in_plane, 1e-300), max(1.0 - along_z, 1e-300)
+    log_most = 0.5 * e1 * log(rest_r)
+    own = exp(min(2.0 / e2 * (log_rho - log_most), 0.0))
+    rest_x, rest_y = max(1.0 - share_y * own, 1e-300), max(1.0 - share_x * own, 1e-300)
+    ways = [
+        (exp(log_c + 0.5 * e1 * log(rest_z)) - abs(pz), 2, (share_x, share_y, in_plane, rest_z)),
+        (exp(log_a + log_most + 0.5 * e2 * log(rest_x)) - abs(px), 0, (rest_x, 1.0 - rest_x, rest_r, along_z)),
+        (exp(log_b + log_most + 0.5 * e2 * log(rest_y)) - abs(py), 1, (1.0 - rest_y, rest_y, rest_r, along_z)),
+    ]
+    reach, axis, (foot_x, foot_y, foot_r, foot_z) = min(ways, key=lambda way: way[0])
+    reach = max(reach, 0.0)
+    foot = [px, py, pz]
+    foot[axis] += reach if foot[axis] > 0.0 else -reach
+    gradient = (foot_r * foot_x / foot[0], foot_r * foot_y / foot[1], foot_z / foot[2])
+    planar = reach * abs(gradient[axis]) / _length(*gradient)
+    return -planar if reach < best * 4.0 and planar < best else -best
+
+
+def _softmax(log_a: float, log_b: float, exponent: float) -> tuple[float, float, float]:
+    # ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum.
+    gap = 2.0 / exponent * (log_b - log_a)
+    small = exp(-abs(gap))
+    large = 1.0 / (1.0 + small)
+    log_sum = max(log_a, log_b) + 0.5 * exponent * log(1.0 + small)
+    return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
+
+
+def _length(x: float, y: float, z: float) -> float:
+    return float(np.sqrt(x * x + y * y + z * z))
