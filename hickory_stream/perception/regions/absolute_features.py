@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.perception.regions.features import Features, of_both
+from hickory_stream.perception.regions.features import Features, of_both, table
 from hickory_stream.perception.regions.ordered_pairs import OrderedPairs
 
 _FAR_M = 0.3
@@ -39,12 +39,12 @@ def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:
     per, floor_z_m = np.maximum(regions.pixels, 1.0), ordered.graph.floor_z_m
     light, green, blue = regions.lab.T / per
     wide, deep, tall = (regions.high - regions.low).T
-    of_regions = (
+    of_regions = table(
         portable.log(per),
         portable.log(regions.area_m2 + 1e-4),
         regions.depth_m / per,
         portable.hypot(wide, deep),
-        *extents.axes_m.T,
+        extents.axes_m.T,
         regions.members,
         light,
         portable.hypot(green, blue),
@@ -60,7 +60,7 @@ def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:
     joined = (wide + 0.01) * (deep + 0.01) * (tall + 0.01)
     # NaN where they do not touch.
     if_touching = np.where(pairs.touch > 0.0, 0.0, np.nan)
-    of_pairs = (
+    of_pairs = table(
         portable.hypot(aside[:, 0], aside[:, 1]),
         aside[:, 2],
         low_small - low_large,
@@ -81,7 +81,6 @@ def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:
         portable.hypot(spread[:, 0], spread[:, 1]) + if_touching,
         spread[:, 2] + if_touching,
         np.minimum(pairs.gap_m, _FAR_M),
-        *pairs.bridged.T,
+        pairs.bridged.T,
     )
-    sizes, relative = np.stack(of_regions, axis=1), np.stack(of_pairs, axis=1)
-    return of_both(_OF_REGIONS, sizes, large, small), Features(_OF_PAIRS, relative)
+    return of_both(_OF_REGIONS, of_regions, large, small), Features(_OF_PAIRS, of_pairs)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX
-from hickory_stream.perception.regions.features import Features
+from hickory_stream.perception.regions.features import Features, table
 from hickory_stream.perception.regions.fragment_odds import NUM_NEAR, FragmentOdds, mean_log_odds
 
 _SIDES = ("large", "small")
@@ -36,7 +36,7 @@ def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: in
     best, means = np.full(count, -np.inf), mean_log_odds(odds.sums.sum(axis=1), odds.levels.sum(axis=(1, 2)))
     for ends in (odds.a, odds.b):
         np.maximum.at(best, ends, means)
-    rows = (
+    rows = table(
         *(mean_log_odds(sums[:, part].sum(axis=1), number) for part, number in zip(parts, numbers, strict=True)),
         mean_log_odds(sums, counts).T,
         *(_shares(levels[:, part].sum(axis=1).T) for part in parts),
@@ -45,7 +45,7 @@ def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: in
         best[sides] - mean_log_odds(sums.sum(axis=1), counts.sum(axis=1)),
         mean_log_odds(odds.thing, odds.num_pixels)[sides],
     )
-    return Features(ODDS_FEATURES, np.vstack(rows).T)
+    return Features(ODDS_FEATURES, rows)
 
 
 def _shares(levels: NDArray[np.int64]) -> NDArray[np.float64]:

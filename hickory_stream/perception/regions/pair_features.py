@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.perception.regions.absolute_features import absolute_features
-from hickory_stream.perception.regions.features import Features, joined, of_both
+from hickory_stream.perception.regions.features import Features, joined, of_both, table
 from hickory_stream.perception.regions.ordered_pairs import OrderedPairs, ordered_pairs
 from hickory_stream.perception.regions.region_extents import LEAST_M
 from hickory_stream.perception.regions.region_graph import RegionGraph, Regions
@@ -60,7 +60,7 @@ def _of_regions(ordered: OrderedPairs) -> NDArray[np.float64]:
     per, foot = np.maximum(regions.pixels, 1.0), np.maximum(support.outline, 1)
     thickness, breadth, length = np.maximum(extents.axes_m, 1e-4).T
     light, green, blue = np.sqrt(_variances(regions, per)).T
-    columns = (
+    return table(
         1 - regions.planes[:, 0] / per,
         regions.normals[:, 2] / per,
         _lengths(regions.normals) / per,
@@ -78,7 +78,6 @@ def _of_regions(ordered: OrderedPairs) -> NDArray[np.float64]:
         support.on.sum(axis=1) / foot,
         support.free / foot,
     )
-    return np.stack(columns, axis=1)
 
 
 def _relations(ordered: OrderedPairs) -> NDArray[np.float64]:
@@ -117,34 +116,29 @@ def _relations(ordered: OrderedPairs) -> NDArray[np.float64]:
     )
     sigmas = np.array((over_large, over_small, lows, highs, np.minimum(inset[:, 0], inset[:, 1]), thin - thickness))
     logs, signed = portable.log(ratios), _signed_log(sigmas / sigma_m)
-    columns = (
-        *logs[:5],
+    return table(
+        logs[:5],
         _products(n_large, n_small),
         (most[large] > 0) & (most[large] == most[small]),
         over_large / away,
         over_small / away,
-        signed[0],
-        signed[1],
+        signed[:2],
         np.sqrt(aside[:, 0] * aside[:, 0] + aside[:, 1] * aside[:, 1]) / width,
-        *(np.array((aside[:, 2], lows, highs, low_small - high_large, low_large - high_small)) / height),
-        signed[2],
-        signed[3],
+        np.array((aside[:, 2], lows, highs, low_small - high_large, low_large - high_small)) / height,
+        signed[2:4],
         np.minimum(overlap[:, 0] / sides_small[0], overlap[:, 1] / sides_small[1]),
         overlap[:, 2] / sides_small[2],
         np.minimum(foot, 1.5),
         np.minimum(inset[:, 0] / sides_large[0], inset[:, 1] / sides_large[1]),
         signed[4],
-        logs[5],
-        logs[6],
+        logs[5:7],
         height / (height + width),
         logs[7],
         thin / broad,
         broad / long,
-        logs[8],
-        logs[9],
+        logs[8:],
         signed[5],
     )
-    return np.stack(columns, axis=1)
 
 
 def _contacts(ordered: OrderedPairs) -> NDArray[np.float64]:
@@ -163,7 +157,7 @@ def _contacts(ordered: OrderedPairs) -> NDArray[np.float64]:
     seam_x, seam_y, seam_z = geometry.contact_spread_m.T
     contact_z_m = geometry.contact_m[:, 2] + ordered.graph.middle[2]
     turned, contrast = ordered.is_turned[:, None], pairs.contrast / touch
-    columns = (
+    return table(
         shade[0],
         chroma,
         shade[0] / spread[0],
@@ -194,7 +188,6 @@ def _contacts(ordered: OrderedPairs) -> NDArray[np.float64]:
         portable.log1p(gap_m / sigma_m),
         gap_m / np.maximum(extents.axes_m[small, 2], LEAST_M),
     )
-    return np.vstack(columns).T
 
 
 def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
