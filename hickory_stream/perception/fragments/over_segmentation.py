@@ -195,7 +195,7 @@ def _in_scan_order(labels: NDArray[np.int32]) -> NDArray[np.int32]:
     first[labels.ravel()[::-1]] = np.arange(labels.size)[::-1]
     first[0] = -1
     names = np.empty(len(first), dtype=np.int32)
-    names[np.argsort(first)] = np.arange(len(first))
+    names[np.argsort(first, kind="stable")] = np.arange(len(first))
     return names[labels]
 
 
