@@ -113,24 +113,12 @@ def why_no_object(
 ) -> str | None:
     """Return the reason if a label (at working resolution) is too long for an object, else None."""
     x0, y0, x1, y1 = box
-    window = surface.points_world[y0:y1, x0:x1], labels[y0:y1, x0:x1]
-    extent = float(_extent_m(*window, label))
+    points = surface.points_world[y0:y1, x0:x1]
+    part = points[(labels[y0:y1, x0:x1] == label) & np.isfinite(points[..., 2])]
+    extent = float(np.ptp(part, axis=0).max()) if len(part) else 0.0
     if extent > max_extent_m:  # the robust extent, without outliers, is slower: computed only if it matters
-        part = window[0][window[1] == label]
-        part = part[np.isfinite(part[:, 2])]
         extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
     return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
-
-
-@kernel
-def _extent_m(points, labels, label):
-    low, high = np.full(3, np.float32(np.inf)), np.full(3, np.float32(-np.inf))
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            if labels[y, x] == label and np.isfinite(points[y, x, 2]):
-                for k in range(3):
-                    low[k], high[k] = min(low[k], points[y, x, k]), max(high[k], points[y, x, k])
-    return max((high - low).max(), np.float32(0.0))
 
 
 def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
