@@ -20,6 +20,7 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import RejectedMask
 
@@ -113,9 +114,9 @@ def why_no_object(
 ) -> str | None:
     """Return the reason if a label (at working resolution) is too long for an object, else None."""
     x0, y0, x1, y1 = box
-    points = surface.points_world[y0:y1, x0:x1]
-    part = points[(labels[y0:y1, x0:x1] == label) & np.isfinite(points[..., 2])]
-    extent = float(np.ptp(part, axis=0).max()) if len(part) else 0.0
+    points = surface.points_world[y0:y1, x0:x1].reshape(-1, 3)
+    part = points.take(np.flatnonzero((labels[y0:y1, x0:x1].ravel() == label) & np.isfinite(points[:, 2])), axis=0)
+    extent = float(extent_of(part).max()) if len(part) else 0.0
     if extent > max_extent_m:  # the robust extent, without outliers, is slower: computed only if it matters
         extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
     return f"{extent:.1f} m long: structure" if extent > max_extent_m else None

@@ -114,15 +114,15 @@ def _reduce_depth(
     depth = np.where(is_valid, depth, np.float32(np.inf))
     if factor == 2:
         a, b, c, d = (depth[i // 2 :: 2, i % 2 :: 2] for i in range(4))
-        low, high = (np.minimum(a, b), np.minimum(c, d)), (np.maximum(a, b), np.maximum(c, d))
-        count = sum(is_valid[i // 2 :: 2, i % 2 :: 2].view(np.int8) for i in range(4))
-        second = np.minimum(np.maximum(*low), np.minimum(*high))
-        out = np.where(count > 2, second, np.minimum(*low))
+        lows, highs = (np.minimum(a, b), np.minimum(c, d)), (np.maximum(a, b), np.maximum(c, d))
+        between = np.maximum(*lows), np.minimum(*highs)
+        out = np.where(np.isfinite(np.maximum(*between)), np.minimum(*between), np.minimum(*lows))
     else:
         blocks = depth.reshape(height, factor, width, factor).swapaxes(1, 2).reshape(height, width, -1)
         middle = (np.maximum(np.isfinite(blocks).sum(axis=2), 1) - 1) // 2
         out = np.take_along_axis(np.sort(blocks, axis=2), middle[..., None], axis=2)[..., 0]
-    return np.where(np.isfinite(out), out, np.float32(np.nan))
+    out[np.isinf(out)] = np.nan
+    return out
 
 
 def _without_flying_pixels(depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -73,8 +73,9 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np
     along = portable.matmul(centered, axes[:, 2])
     threshold, separation = _otsu(along)
     high = along > threshold
-    step = portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0))
-    if separation < _MIN_SEPARATION or step < _MIN_STEP:
+    if separation < _MIN_SEPARATION:
+        return None
+    if portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0)) < _MIN_STEP:
         return None
     out = np.zeros(mask.shape, dtype=bool)
     out[mask] = high

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import MapPrior, Phase, TrackedObject
@@ -91,7 +92,8 @@ def _objects_near(points: NDArray[np.float32], prior: MapPrior) -> list[TrackedO
     # The smallest first.
     if len(points) == 0:
         return []
-    low, high = points.min(axis=0) - prior.points_m, points.max(axis=0) + prior.points_m
+    low, high = bounds_of(points)
+    low, high = low - prior.points_m, high + prior.points_m
     near = []
     for item in prior.objects:
         if item.phase is Phase.TENTATIVE or item.sightings < _MIN_SIGHTINGS:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.perception.surface import Surface
 
 
@@ -46,7 +48,8 @@ def region_sums(
     """Return the sums of at least one region of `labels` (h, w), and the origin of positions (3,) and of heights."""
     names, points, planes = _labelled(labels, supports, surface.points_world)
     count = int(names.max()) + 1
-    middle, bottom_m, top_m = points.mean(axis=0), float(points[:, 2].min()), float(points[:, 2].max())
+    middle = portable.matmul(np.ones(len(points)), points) / len(points)
+    bottom_m, top_m = (float(height) for height in bounds_of(points)[:, 2])
     sums, low, high = _sums(
         labels.ravel(),
         points - middle,

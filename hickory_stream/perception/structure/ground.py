@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.perception.surface import Surface
 
 # Side of a cell of the height grid.
@@ -98,16 +99,17 @@ class _Grid:
 
 
 def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float) -> _Grid | None:
-    own = (surface.normals_world[..., 2] > _UPWARD) & (surface.points_world[..., 2] < np.float32(highest_m))
-    at, sigma_m, is_known = surface.points_world[own], surface.sigma_m[own], known[own]
-    if not len(at):
+    upward = (surface.normals_world[..., 2] > _UPWARD) & (surface.points_world[..., 2] < np.float32(highest_m))
+    own, cell = np.flatnonzero(upward), np.float32(_CELL_M)
+    if not len(own):
         return None
-    cell = np.float32(_CELL_M)
-    low = np.floor(at[:, :2].min(axis=0) / cell) * cell
-    size = tuple(int(n) for n in np.floor((at[:, :2].max(axis=0) - low) / cell) + 1)
+    points = surface.points_world.reshape(-1, 3).take(own, axis=0)
+    bounds = bounds_of(points)[:, :2]
+    low = np.floor(bounds[0] / cell) * cell
+    size = tuple(int(n) for n in np.floor((bounds[1] - low) / cell) + 1)
     # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
     eye = surface.world_from_camera[:3, 3].astype(np.float32)
-    z, slack, share = _lowest(at, sigma_m, is_known, eye, low, (size[0], size[1]))
+    z, slack, share = _lowest(points, surface.sigma_m.ravel()[own], known.ravel()[own], eye, low, (size[0], size[1]))
     return _Grid(z, slack, share, low)
 
 
@@ -120,10 +122,11 @@ def _lowest(
     size: tuple[int, int],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     # The mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share.
-    cells = np.clip(((points[:, :2] - low) / np.float32(_CELL_M)).astype(np.int64), 0, np.array(size) - 1)
-    cell, (rx, ry, rz) = cells[:, 0] * size[1] + cells[:, 1], (points - eye).T
-    noise = sigma * np.abs(rz) / np.sqrt(rx * rx + ry * ry + rz * rz)
-    heights, least = points[:, 2], np.full(size[0] * size[1], np.float32(np.inf))
+    rays = np.ascontiguousarray((points - eye).T)
+    places = (np.ascontiguousarray((points[:, :2] - low).T) / np.float32(_CELL_M)).astype(np.int64)
+    cell = np.clip(places[0], 0, size[0] - 1) * size[1] + np.clip(places[1], 0, size[1] - 1)
+    noise = sigma * np.abs(rays[2]) / np.sqrt(rays[0] * rays[0] + rays[1] * rays[1] + rays[2] * rays[2])
+    heights, least = np.ascontiguousarray(points[:, 2]), np.full(size[0] * size[1], np.float32(np.inf))
     np.minimum.at(least, cell, heights + noise)
     of_layer = np.flatnonzero(heights < least[cell] + np.float32(0.04) + noise)
     count = np.bincount(cell[of_layer], minlength=len(least))
