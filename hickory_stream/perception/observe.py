@@ -157,7 +157,9 @@ def points_of_returns(
     returns: Returns, box_px: tuple[int, int, int, int], camera: Camera, world_from_camera: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return the points (N, 3) of an observation from its returns in the frame's camera and pose."""
-    points = _points_of(returns.depth_mm, *rays_of(camera.cropped(*box_px)))
+    (u, v), (y, x) = rays_of(camera.cropped(*box_px)), np.nonzero(returns.depth_mm)
+    z = returns.depth_mm[y, x].astype(np.float32) * MILLIMETRE
+    points = np.stack([z * u[x], z * v[y], z], axis=1)
     return _means_in_world(points, np.zeros(points.shape, np.uint8), world_from_camera, returns.voxel_m)[0]
 
 
@@ -190,20 +192,6 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
                         colors[count, k] = rgb[y, x, k]
                     count += 1
     return points[:count], colors[:count], depth_mm, is_whole, num_reliable
-
-
-@kernel
-def _points_of(depth_mm, u, v):
-    height, width = depth_mm.shape
-    points = np.empty((np.count_nonzero(depth_mm), 3), dtype=np.float32)
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            if depth_mm[y, x]:
-                z = np.float32(depth_mm[y, x]) * MILLIMETRE
-                points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z
-                count += 1
-    return points
 
 
 def voxel_means(

@@ -82,8 +82,10 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
     few = np.ascontiguousarray(labels[::2, ::2])
     count = int(labels.max(initial=0)) + 1
     level_of = np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
-    found = _sums(few, odds.odds, np.array(OFFSETS), _NUM_DISTANCES, level_of, count)
-    sums, levels, inner, num_inner, things = found
+    sums, levels = (np.zeros((count * count, _NUM_DISTANCES, *more), np.int32) for more in ((), (_NUM_LEVELS,)))
+    inner, num_inner = np.zeros((2, count, _NUM_DISTANCES), np.int64)
+    things = np.zeros((count, 2), np.int64)
+    _add(few, odds.odds, np.array(OFFSETS), level_of, sums, levels, inner, num_inner, things)
     keys = np.flatnonzero(levels.any(axis=(1, 2)))
     return FragmentOdds(
         a=keys // count,
@@ -98,13 +100,9 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
 
 
 @kernel
-def _sums(labels, odds, offsets, num_distances, level_of, count):
+def _add(labels, odds, offsets, level_of, sums, levels, inner, num_inner, things):
     height, width = labels.shape
-    sums = np.zeros((count * count, num_distances), dtype=np.int32)
-    levels = np.zeros((count * count, num_distances, 4), dtype=np.int32)
-    inner = np.zeros((count, num_distances), dtype=np.int64)
-    num_inner = np.zeros((count, num_distances), dtype=np.int64)
-    things = np.zeros((count, 2), dtype=np.int64)
+    count, num_distances = inner.shape
     last = len(offsets)
     for y in range(height):
         for x in range(width):
@@ -129,4 +127,3 @@ def _sums(labels, odds, offsets, num_distances, level_of, count):
                 at = min(label, other) * count + max(label, other)
                 sums[at, distance] += np.int32(byte) - ODDS_ZERO
                 levels[at, distance, level_of[byte]] += 1
-    return sums, levels, inner, num_inner, things

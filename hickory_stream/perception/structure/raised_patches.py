@@ -61,7 +61,7 @@ def _raised(
 ) -> NDArray[np.bool_]:
     mask = np.zeros(plane.near.shape, dtype=bool)
     side = (_WINDOW_PX, _WINDOW_PX)
-    values = np.where(plane.near, plane.distance_m, np.float32(0))
+    values = cv2.copyTo(plane.distance_m, plane.near.view(np.uint8))
     # Means over a window of the distance to the plane, 0 beyond, and of the mask of pixels near it.
     total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
     share = cv2.blur(plane.near.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
