@@ -14,25 +14,33 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, read_only
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import RejectedMask
 
 
 def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive."""
+    """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive; 0 of a label without a pixel."""
     boxes = np.zeros((count, 4), dtype=np.int64)
-    for i, place in enumerate(find_objects(labels, max_label=count - 1)):
-        if place is not None:
-            rows, columns = place
-            boxes[i + 1] = columns.start, rows.start, columns.stop, rows.stop
+    _fill_boxes(read_only(labels), boxes)
     return boxes
+
+
+@kernel
+def _fill_boxes(labels, boxes):
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            i = labels[y, x]
+            if i > 0:
+                if boxes[i, 3] == 0:
+                    boxes[i, 0], boxes[i, 1] = x, y
+                boxes[i, 0], boxes[i, 2] = min(boxes[i, 0], x), max(boxes[i, 2], x + 1)
+                boxes[i, 3] = y + 1
 
 
 # Overlaps are counted with this stride in both directions: a mask worth keeping has hundreds of such pixels.

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
@@ -19,6 +18,7 @@ from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
+from hickory_stream.perception.masks import label_boxes
 from hickory_stream.records import Frame, Observation, RejectedMask, Returns, Segmentation
 
 # Players convert the cameras' millimetres to metres by this factor.
@@ -85,12 +85,9 @@ def mask_area_of(camera: Camera) -> float:
 
 
 def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int], NDArray[np.bool_]]]:
-    masks = []
-    for i, place in enumerate(find_objects(instances)):
-        if place is not None:
-            rows, columns = place
-            masks.append(((columns.start, rows.start, columns.stop, rows.stop), instances[place] == i + 1))
-    return masks
+    boxes = label_boxes(instances, int(instances.max(initial=0)) + 1).tolist()
+    places = [(i, (x0, y0, x1, y1)) for i, (x0, y0, x1, y1) in enumerate(boxes) if y1 > 0]
+    return [((x0, y0, x1, y1), instances[y0:y1, x0:x1] == i) for i, (x0, y0, x1, y1) in places]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
