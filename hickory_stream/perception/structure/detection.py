@@ -197,11 +197,8 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
     sigma, own = surface.sigma_m.reshape(-1), np.flatnonzero(weights > 0)
-    all_at, all_weight, all_sigma = (
-        points.take(own, axis=0),
-        weights[own].astype(np.float64),
-        np.float32(2) * sigma[own],
-    )
+    all_at, all_weight = points.take(own, axis=0), weights[own].astype(np.float64)
+    all_sigma = np.float32(2) * sigma[own]
     left = _upright(points, normals, sigma, weights)
     if len(left.pixels) == 0:
         return []
@@ -214,18 +211,19 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
         for peak in _peaks(_along(facing.at, normal), facing.weight, _WALL_AREA_M2):
             inward, offset = _refined(facing, normal, peak)
             offsets = _along(facing.at, inward)
-            on_it = facing.among(np.abs(offsets - np.float32(offset)) < 0.04 + facing.sigma)
-            if len(on_it.pixels) == 0:
+            on_it = np.flatnonzero(np.abs(offsets - np.float32(offset)) < 0.04 + facing.sigma)
+            if len(on_it) == 0:
                 continue
+            at = facing.at.take(on_it, axis=0)
             all_offsets = _along(all_at, inward)
-            is_behind = all_offsets < np.float32(offset - 0.12) - all_sigma
-            behind = float(all_weight[is_behind].sum())
+            places = np.flatnonzero(all_offsets < np.float32(offset - 0.12) - all_sigma)
+            behind = float(all_weight[places].sum())
             if behind < _BEHIND_SHARE * total:
-                if _is_tall(on_it.at[:, 2], floor_z_m):
+                if _is_tall(at[:, 2], floor_z_m):
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
-            elif _is_high(on_it.at[:, 2], on_it.pixels, width, floor_z_m):
-                sections, inverse = np.unique(_stretches(on_it.at, inward), return_inverse=True)
-                cells = sections[np.bincount(inverse, weights=on_it.weight) > _SEEN_M2]
+            elif _is_high(at[:, 2], facing.pixels[on_it], width, floor_z_m):
+                sections, inverse = np.unique(_stretches(at, inward), return_inverse=True)
+                cells = sections[np.bincount(inverse, weights=facing.weight[on_it]) > _SEEN_M2]
                 depth = offset - offsets
                 is_backing = (depth > 0.12 + facing.sigma) & (depth < _FURNITURE_DEPTH_M)
                 backing = float(facing.weight[is_backing].sum())
@@ -255,8 +253,8 @@ def _upright(
     points: NDArray[np.float32], normals: NDArray[np.float32], sigma: NDArray[np.float32], areas: NDArray[np.float32]
 ) -> _Upright:
     # The pixels with an area and a horizontal normal, of (P, 3) points and normals.
-    pixels = np.flatnonzero((areas > 0) & (np.abs(normals[:, 2]) < 0.2))
-    direction = normals[pixels, :2]
+    pixels = np.flatnonzero((np.abs(normals[:, 2]) < 0.2) & (areas > 0))
+    direction = np.ascontiguousarray(normals.take(pixels, axis=0)[:, :2])
     direction /= np.sqrt(direction[:, 0] * direction[:, 0] + direction[:, 1] * direction[:, 1])[:, None]
     weight, azimuths = areas[pixels].astype(np.float64), _bins_of_azimuth(direction, _AZIMUTHS)
     return _Upright(pixels, points.take(pixels, axis=0), sigma[pixels], weight, direction, azimuths)
@@ -265,7 +263,8 @@ def _upright(
 def _bins_of_azimuth(directions: NDArray[np.float32], count: int) -> NDArray[np.int64]:
     # The bin of each direction (N, 2), of `count` equal bins of azimuth from -pi on.
     turns = (portable.arctan2(directions[:, 1], directions[:, 0]) + np.pi) / (2 * np.pi)
-    return (turns * count).astype(np.int64) % count
+    bins = (turns * count).astype(np.int64)
+    return np.where(bins < count, bins, 0)
 
 
 def _is_high(
@@ -299,9 +298,9 @@ def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
     areas = np.bincount(left.azimuths, weights=left.weight, minlength=_AZIMUTHS)
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
-    near = _along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
+    near = np.flatnonzero(_along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98)
     weight = left.weight[near]
-    mean = portable.matmul(weight, left.direction[near]) / weight.sum()
+    mean = portable.matmul(left.direction.take(near, axis=0).T, weight) / weight.sum()
     return (mean / portable.norm(mean)).astype(np.float32)
 
 
@@ -324,9 +323,10 @@ def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tu
 
 def _spread(at: NDArray[np.float32], share: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # The mean (2,) of (N, 2) places whose shares add up to 1, and the covariance (2, 2).
-    middle = portable.matmul(share, at)
-    off = at - middle
-    return middle, portable.matmul((off * share[:, None]).T, off)
+    columns = at.T.astype(np.float64, order="C")
+    middle = portable.matmul(columns, share)
+    columns -= middle[:, None]
+    return middle, portable.matmul(columns * share, columns.T)
 
 
 def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
