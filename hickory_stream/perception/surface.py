@@ -153,12 +153,13 @@ def _normals(
     own = inverses[radius : radius + height, radius : radius + width]
     planes, sums = np.zeros((height, 3, width), np.float32), np.empty((height, 9, width), np.float32)
     has_plane, is_solved = np.empty((2, height, width), bool)
+    steps = [np.diff(side[:2]).sum() for side in (u, v)]  # 0 of a single pixel
     with np.errstate(divide="ignore", invalid="ignore"):
         np.divide(np.float32(1), depth, out=own, where=~np.isnan(depth))
-        _sum_windows(inverses, planes, np.float32(0.03) * own, sums, radius, u[1] - u[0], v[1] - v[0])
+        _sum_windows(inverses, planes, np.float32(0.03) * own, sums, radius, *steps)
         _solve_planes(sums, planes, has_plane)
         gates = np.float32(3) * noise + np.float32(0.003) * own
-        _sum_windows(inverses, planes, gates, sums, radius, u[1] - u[0], v[1] - v[0])
+        _sum_windows(inverses, planes, gates, sums, radius, *steps)
         _solve_planes(sums, planes, is_solved)
         # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
         a, b, c = planes.swapaxes(0, 1)
