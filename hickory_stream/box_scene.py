@@ -3,21 +3,15 @@
 Colour, depth, instances and poses are cast analytically, hence exact. The engine warms up its kernels on it.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial, reduce
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame, RawFrame, SourceInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
 SCENE_CAMERA = Camera(width=240, height=180, fx=210.0, fy=210.0, cx=119.5, cy=89.5)
 START_NS = 1_700_000_000_000_000_000

@@ -43,7 +43,7 @@ class FrameObserved:
     observations: tuple[Observation, ...]
     space: SpaceObservation
     rejected: tuple[RejectedMask, ...] = ()
-    #: For the submap's surface (loop search) and for people; None in older journals.
+    #: For the submap's surface (loop search) and for people.
     coarse: CoarseFrame | None = None
     #: (K, 6), of the frame.
     degenerate: NDArray[np.float64] = field(default_factory=no_directions)

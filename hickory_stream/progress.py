@@ -1,21 +1,16 @@
 """Progress of long work: a bar on a terminal, plain lines elsewhere, JSON lines for machines."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import sys
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable
+from typing import Literal
 
 from hickory_stream.base.terminal import clear_line
+from hickory_stream.engine.modes import Progress
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.engine.modes import Progress
 
 Style = Literal["bar", "lines", "json", "none"]
 

@@ -4,29 +4,22 @@ All are frozen; arrays are checked for dtype and shape and made read-only, so th
 integer nanoseconds; the world is z up; lengths are metres.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import no_directions
-from hickory_stream.geometry.superquadric import check_bodies
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.geometry.superquadric import Superquadrics, check_bodies
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -249,13 +242,13 @@ class CoarseFrame:
     """A keyframe's depth in the journal: the middle pixel of every cell of `stride_px` x `stride_px`.
 
     `depth_mm` (h, w) uint16 along the optical axis, 0 = no return; `structure` (h, w): floor, wall or ceiling; `camera`
-    of the whole image, None in older journals.
+    of the whole image.
     """
 
     stride_px: int
     depth_mm: NDArray[np.uint16]
     structure: NDArray[np.bool_]
-    camera: Camera | None = None
+    camera: Camera
 
     def __post_init__(self) -> None:
         freeze(self, "depth_mm", np.uint16, (None, None))

@@ -3,25 +3,16 @@
 `box_scene` has a source, and `players.faults` makes any source fail.
 """
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import NoShape, Reconstruction, SourceAround
-from hickory_stream.records import Frame, RawFrame, Segmentation
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import ShapeInputs, Sink, Source
-    from hickory_stream.records import FrameReport, MapPrior
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs, Sink, Source, SourceAround
+from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 
 
 class BreakingSource(SourceAround):

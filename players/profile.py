@@ -3,32 +3,26 @@
 A profile names topics, links between body and camera, and tolerances. Topics identify it, or `--profile`.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
+from players.logs.containers import Topic
 from players.options import MAX_GAP_NS
 from players.poses.interpolation import nearest_rigid
 from players.poses.tf import Edge
 from players.poses.tracks import JumpLimits
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from players.logs.containers import Topic
 
 _TOLERANCE = Range(low=0.001, high=MAX_GAP_NS / 1e6, unit="ms")
 _OFFSET = Range(low=-1000, high=1000, unit="m")
@@ -57,7 +51,7 @@ class Intrinsics(Ranged):
 
         Raises `CalibrationError`: they cannot have been, or their middle is far from the principal point.
         """
-        from players.messages.calibration import check_center, has_shape
+        from players.messages.calibration import check_center, has_shape, scaled
 
         width, height = self.width or size[0], self.height or size[1]
         camera = Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
@@ -67,14 +61,9 @@ class Intrinsics(Ranged):
                 "not the same, resized: give their own (camera-intrinsics.txt or cam_params.json)"
             )
         check_center(camera, where)
-        if (width, height) == size:
-            return camera
-        # Pixel centres are at integer coordinates.
-        x, y = size[0] / width, size[1] / height
-        cx, cy = (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
-        return Camera(width=size[0], height=size[1], fx=self.fx * x, fy=self.fy * y, cx=cx, cy=cy)
+        return scaled(camera, size)
 
-    def of_nearest(self, sizes: Sequence[tuple[int, int]]) -> Intrinsics:
+    def of_nearest(self, sizes: Sequence[tuple[int, int]]) -> Self:
         """Return them with a size: their own, or of several the one whose middle is nearest to the principal point."""
         if self.width is not None:
             return self

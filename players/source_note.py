@@ -4,25 +4,19 @@ The record is in the map folder, which may be untrusted: its paths are only read
 The identity of the log is compared before it is mapped.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.errors import RecordingError
+from hickory_stream.mapping.rules.keyframes import KeyframeConfig
+from hickory_stream.ports import Source
 from players.faults import FaultySource, parse_faults
 from players.first_frames import FirstFrames
 from players.opening import open_source
 from players.options import SourceOptions
 from players.playback import PlaybackClock, PlayedSource
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
-    from hickory_stream.ports import Source
-
 
 _KINDS: dict[str, Any] = {
     **{"uris": list, "options": dict, "faults": str},

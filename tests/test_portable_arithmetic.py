@@ -55,7 +55,7 @@ SCIPY = {
 # with and without AVX2, FMA and IPP. Filters of floating-point images are not (`perception/descriptor.py`).
 CV2 = frozenset(
     "resize dilate erode morphologyEx blur connectedComponentsWithStats distanceTransformWithLabels copyMakeBorder "
-    "cvtColor imdecode imencode remap initUndistortRectifyMap fisheye".split()
+    "copyTo cvtColor imdecode imencode remap initUndistortRectifyMap fisheye".split()
 )
 
 

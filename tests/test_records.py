@@ -42,7 +42,9 @@ VALID: dict[type, dict[str, Any]] = {
         "after_from_before": _POSE,
     },
     records.RejectedMask: {"box_px": (2, 3, 6, 5), "reason": "too small", "mask": np.ones((2, 4), bool)},
-    records.CoarseFrame: {"stride_px": 4, "depth_mm": np.ones((3, 4), np.uint16), "structure": np.zeros((3, 4), bool)},
+    records.CoarseFrame: {
+        "stride_px": 4, "depth_mm": np.ones((3, 4), np.uint16), "structure": np.zeros((3, 4), bool), "camera": _CAMERA,
+    },
     records.SemanticImage: {"classes": np.zeros((3, 4), np.int32), "labels": ("wall",)},
     records.Segmentation: {
         "instances": np.zeros((3, 4), np.int32), "structure": np.zeros((3, 4), bool),
@@ -151,7 +153,7 @@ FREE_LENGTH = {
 
 
 def array_fields(record: type) -> list[str]:
-    return [field.name for field in fields(record) if "NDArray" in str(field.type)]
+    return [field.name for field in fields(record) if "ndarray" in str(field.type).lower()]
 
 
 def cases() -> Iterator[Any]:

@@ -1,30 +1,10 @@
-# Sourced by the other tools: makes .venv with exactly the locked versions, and does nothing when that is there already.
+# Sourced by the other tools with the packages that they need: `run` (requirements.lock: the product) or `tests`
+# (requirements-test.lock: everything). Brings .venv up to that lock, and does nothing where it is.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-stamp=.venv/.hickory-setup
-want=$(cat requirements.lock pyproject.toml | cksum)
-if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$want" ]; then
-    python=""
-    for candidate in python3.11 python3.12 python3.13 python3; do
-        if command -v "$candidate" >/dev/null && "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
-            python=$candidate
-            break
-        fi
-    done
-    if [ -z "$python" ]; then
-        echo "hickory-stream needs Python 3.11 or newer; none was found on PATH" >&2
-        exit 2
-    fi
-    echo "setting up .venv with $("$python" --version) (once; about a minute)" >&2
-    [ -x .venv/bin/python ] || "$python" -m venv .venv
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-    # Compiled kernels are kept in the user's caches: the first real run then starts at once.
-    warm=$(mktemp -d)
-    .venv/bin/hickory-stream play recordings/demo.mcap --frames 36 --out "$warm/map" --viewer none --json \
-        --set mapper.run.shape_cache=false >/dev/null 2>&1 || true
-    .venv/bin/hickory-stream align "$warm/map" "$warm/map" >/dev/null 2>&1 || true
-    rm -rf "$warm"
-    echo "$want" > "$stamp"
+# A moved checkout has another stamp: the scripts of a .venv name its folder.
+setup_stamp="$(cat requirements*.lock pyproject.toml | cksum) $(pwd -P)"
+if [ "$(cat ".venv/.hickory-setup-$1" 2>/dev/null)" != "$setup_stamp" ] || ! .venv/bin/python -Sc '' 2>/dev/null; then
+    tools/make_venv "$1" "$setup_stamp"
 fi

@@ -3,33 +3,26 @@
 Corrections from outside and from loops are applied before a frame is mapped.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.engine.async_tools import on_thread
+from hickory_stream.engine.effects import EffectRunner
 from hickory_stream.engine.keyframe_places import RegistrationFilter
+from hickory_stream.engine.loop_closing import LoopCloser
 from hickory_stream.errors import InputError
 from hickory_stream.events import KeyframeKeptOut, PoseJumped, PosesCorrected
 from hickory_stream.geometry.rigid import is_rigid
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from concurrent.futures import ThreadPoolExecutor
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.engine.effects import EffectRunner
-    from hickory_stream.engine.loop_closing import LoopCloser
-    from hickory_stream.map_folder.history.registration_history import RegistrationHistory
-    from hickory_stream.poses.registration_config import RegistrationConfig
-    from hickory_stream.poses.surface_image import SurfaceImage
-    from hickory_stream.records import Frame
+from hickory_stream.map_folder.history.registration_history import RegistrationHistory
+from hickory_stream.poses.registration_config import RegistrationConfig
+from hickory_stream.poses.surface_image import SurfaceImage
+from hickory_stream.records import Frame
 
 logger = logging.getLogger(__name__)
 

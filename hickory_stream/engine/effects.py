@@ -1,13 +1,19 @@
 """Carries out the core's effects, crops views, and commits the results of shape jobs."""
 
-from __future__ import annotations
-
+from collections.abc import Awaitable, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, assert_never
+from typing import assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.config import JournalConfig, RunConfig
 from hickory_stream.engine.async_tools import StopRequest, on_thread
+from hickory_stream.engine.loop_closing import LoopCloser
+from hickory_stream.engine.modes import Mode
+from hickory_stream.engine.shape_jobs.queue import ShapeQueue
+from hickory_stream.engine.step_writer import Recorder, StepWriter
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -23,24 +29,11 @@ from hickory_stream.events import (
     ShapeReady,
 )
 from hickory_stream.map_folder.views import write_crop
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.perceive import features_of
 from hickory_stream.ports import Crop, FeatureExtractor
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
-    from concurrent.futures import ThreadPoolExecutor
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import JournalConfig, RunConfig
-    from hickory_stream.engine.loop_closing import LoopCloser
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.shape_jobs.queue import ShapeQueue
-    from hickory_stream.engine.step_writer import Recorder, StepWriter
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
-
+from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
 
 # Quality of the kept images where the log has none.
 _JPEG_QUALITY = 80

@@ -1,22 +1,16 @@
 """Position of a run in its log, and the outcome of every frame."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
+from hickory_stream.engine.modes import Mode
+from hickory_stream.engine.reading import QueuedFrame
 from hickory_stream.events import TimeJumped
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.journal.step import FramePose
+from hickory_stream.map_folder.history.resume import ResumePoint
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.reading import QueuedFrame
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.map_folder.history.resume import ResumePoint
 
 
 class RunClock:

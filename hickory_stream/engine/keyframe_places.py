@@ -1,26 +1,19 @@
 """Poses at which keyframes are mapped: registration to the surface of earlier keyframes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.events import KeyframeKeptOut, KeyframeRegistered
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose
+from hickory_stream.map_folder.history.registration_history import RegistrationHistory
 from hickory_stream.perception.coarse import coarse_camera, coarse_depth
 from hickory_stream.poses.keyframe_registration import Belief, KeptOut, KeyframeRegistration, Remembered
+from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.poses.surface_image import SurfaceImage, surface_image
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.map_folder.history.registration_history import RegistrationHistory
-    from hickory_stream.poses.registration_config import RegistrationConfig
-    from hickory_stream.records import Frame
-
+from hickory_stream.records import Frame
 
 # Returns with a greater sigma of depth are not used.
 _MAX_DEPTH_SIGMA_M = 0.1

@@ -5,30 +5,24 @@ commits it on arrival. The graph is solved again for each loop, from records of 
 more.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.engine.modes import Mode
 from hickory_stream.events import LoopsSearched, PosesCorrected, SearchLoops
+from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.solution import NoSolution
 from hickory_stream.loops.config import MIN_AGREEING_POINTS, LoopConfig
 from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
 from hickory_stream.loops.predictions import predictions
 from hickory_stream.loops.search import LoopQuery, search_loops
 from hickory_stream.loops.surfaces import Surfaces
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.graph.config import GraphConfig
-    from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.records import Loop
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.records import Loop
 
 logger = logging.getLogger(__name__)
 # A submap is not searched in those before it that are fewer than this away.

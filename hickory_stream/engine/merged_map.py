@@ -3,11 +3,10 @@
 The manifest's `source` lists inputs with digests, the outcome of every pair of maps, and the origins of every object.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.alignment.answer import Alignment, count_text
 from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
@@ -19,19 +18,15 @@ from hickory_stream.engine.shape_jobs.processor import processor_kind
 from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes
 from hickory_stream.geometry.mesh import sha256_of
 from hickory_stream.map_folder.manifest import Manifest, read_json
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import MapFolder, create_map_folder
+from hickory_stream.merging.layout import PairOutcome
+from hickory_stream.merging.merge_maps import Merged
+from hickory_stream.merging.objects import MergedObject
 from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.records import ObjectShape, TrackedObject
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.merging.layout import PairOutcome
-    from hickory_stream.merging.merge_maps import Merged
-    from hickory_stream.merging.objects import MergedObject
 
 _MERGED_REVISION = 1_000_000
 

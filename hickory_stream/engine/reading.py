@@ -1,35 +1,28 @@
 """Reads a source for the event loop: decoded ahead in a playback, the newest frames in a live run."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, StopRequest, on_thread
 from hickory_stream.engine.keyframe_places import keyframe_surface
+from hickory_stream.engine.modes import Mode
 from hickory_stream.errors import RecordingError
+from hickory_stream.geometry.depth_sensor import SensorConfig
+from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.geometry.depth_sensor import SensorConfig
-    from hickory_stream.map_folder.history.resume import Position
-    from hickory_stream.ports import FeatureExtractor, Segmenter, Source
-    from hickory_stream.poses.surface_image import SurfaceImage
-    from hickory_stream.records import Frame, RawFrame
+from hickory_stream.ports import FeatureExtractor, Segmenter, Source
+from hickory_stream.poses.surface_image import SurfaceImage
+from hickory_stream.records import Frame, RawFrame
 
 logger = logging.getLogger(__name__)
 

@@ -3,11 +3,9 @@
 A pose is confirmed when two consecutive answers agree; the first one may be chance.
 """
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,15 +13,11 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.alignment.registration import differs
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import Source
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.ports import Source
 
 _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
 
@@ -57,38 +51,31 @@ def relocalise(
 
     Raises `HickoryError`: the source or the disk failed.
     """
-    return asyncio.run(_relocalise(stored, source, config, rate, stops_when_found, report))
+
+    async def answered() -> Located | None:
+        last: Located | None = None
+        known: frozenset[int] = frozenset()
+        async with Mapper(config, out=None) as mapper:
+            async for snapshot in mapper.run(source, rate=rate):
+                objects = frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
+                # Until an object comes or goes, the answer is the same.
+                if objects == known and last is not None:
+                    continue
+                known = objects
+                here = object_map(snapshot, mapper.extractor_name)
+                last = await asyncio.to_thread(_located, stored, here, snapshot.stamp_ns, last)
+                report(last)
+                if stops_when_found and last.is_confirmed:
+                    mapper.stop()
+                    break
+        return last
+
+    return asyncio.run(answered())
 
 
 def without(stored: ObjectMap, movable: Collection[int]) -> ObjectMap:
     """Return a map without objects that tend to move: they are no landmarks."""
     return taken(stored, np.flatnonzero(~np.isin(stored.ids, list(movable))))
-
-
-async def _relocalise(
-    stored: ObjectMap,
-    source: Source,
-    config: MapperConfig,
-    rate: float | None,
-    stops_when_found: bool,
-    report: Callable[[Located], None],
-) -> Located | None:
-    last: Located | None = None
-    known: frozenset[int] = frozenset()
-    async with Mapper(config, out=None) as mapper:
-        async for snapshot in mapper.run(source, rate=rate):
-            objects = frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
-            # Until an object comes or goes, the answer is the same.
-            if objects == known and last is not None:
-                continue
-            known = objects
-            here = object_map(snapshot, mapper.extractor_name)
-            last = await asyncio.to_thread(_located, stored, here, snapshot.stamp_ns, last)
-            report(last)
-            if stops_when_found and last.is_confirmed:
-                mapper.stop()
-                break
-    return last
 
 
 def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | None) -> Located:

@@ -20,14 +20,17 @@ import asyncio
 import logging
 import time
 from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.caches import cache_folder
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.accounting import engine_metrics, run_ledger, run_timings
 from hickory_stream.engine.async_tools import LoopDelay, StopRequest, on_thread
 from hickory_stream.engine.corrections import Corrections, KeyframeRegistrar
@@ -42,34 +45,27 @@ from hickory_stream.engine.effects import (
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice, RunClock
 from hickory_stream.engine.loop_closing import LoopCloser
+from hickory_stream.engine.modes import Mode, Progress
 from hickory_stream.engine.publisher import ReportPublisher, SinkThread
 from hickory_stream.engine.reading import Prefetched, QueuedFrame, Reader, sensed
 from hickory_stream.engine.shape_jobs.cache import ShapeCache
 from hickory_stream.engine.shape_jobs.generators.choose import generator_key
+from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.step_writer import Recorder, StepWriter
 from hickory_stream.errors import RecordingError
 from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
 from hickory_stream.journal.step import FramePose, StepKind
+from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.array_spill import FarArrays
 from hickory_stream.map_folder.history.frame_reports import final_report, keyframe_report, plain_report
 from hickory_stream.map_folder.history.resume import Position, ResumePoint
 from hickory_stream.map_folder.history.rewind import rewound_to
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import FeatureExtractor, Segmenter, Source, interrupt, num_seeks, prepared_at
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.modes import Mode, Progress
-    from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
-    from hickory_stream.journal.writer import JournalWriter
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.records import Decision, Frame, MapSnapshot
+from hickory_stream.records import Decision, Frame, MapSnapshot
 
 logger = logging.getLogger(__name__)
 

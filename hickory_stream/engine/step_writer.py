@@ -3,27 +3,21 @@
 Writes keep their order: a step in the journal has its views, and dropped files are removed after it.
 """
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+from hickory_stream.engine.frame_accounting import RunClock
+from hickory_stream.engine.shape_jobs.queue import ShapeQueue
+from hickory_stream.events import Event, Publish
 from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, Step, StepKind, Told
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.history.rewind import Rewound
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.ports import Source, num_seeks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from hickory_stream.engine.frame_accounting import RunClock
-    from hickory_stream.engine.shape_jobs.queue import ShapeQueue
-    from hickory_stream.events import Event, Publish
-    from hickory_stream.journal.writer import JournalWriter
-    from hickory_stream.map_folder.history.rewind import Rewound
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 _LONGEST_WAIT = 2
 

@@ -34,7 +34,6 @@ from hickory_stream.perception.observe import MILLIMETRE
 from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, FeatureExtractor, Segmenter, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
-from hickory_stream.shapes.connected import piece_around
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
 
@@ -59,8 +58,6 @@ def warm_up() -> None:
     with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
         fitted_shape(_pipe(), _COARSE.fit)
-        # For a part far from all primitives, which neither shape has.
-        piece_around(np.ones((2, 2, 2), dtype=bool), 0, 0, 0)
 
 
 def warm_up_mapping() -> None:

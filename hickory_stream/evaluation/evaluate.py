@@ -1,11 +1,10 @@
 """A map against truth: detection, surfaces, containment, poses and masks; `evaluate --explain` defines each figure."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, TruthScore, meshes_of, score_map
@@ -22,19 +21,13 @@ from hickory_stream.evaluation.truth import (
     structure_meshes,
 )
 from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.map_folder.views import read_mask
 from hickory_stream.pictures.raycast import Scene, Surface
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.records import TrackedObject
+from hickory_stream.records import TrackedObject
 
 
 def purity(mask: NDArray[np.bool_], box_px: tuple[int, int, int, int], instances: NDArray[np.uint16]) -> float | None:

@@ -5,27 +5,21 @@ Each of `objects` has `id`, `center`, `size` (along, across, up), `yaw` from the
 are `name` or `kind`, `ignore`, and `seen_center` with `seen_size` for the part that the log shows.
 """
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import whole_number
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.match import SURFACE_REACH_M, Score, TrueBox, score_of
 from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import from_rotation_translation, is_rigid, yaw_rotation
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 LABELS_FILE = "boxes.json"
 # Shares of points that differ by less are equal: the smaller box decides.

@@ -4,28 +4,21 @@ An object's box is the gravity-aligned box of layer 2 (else layer 1). A true obj
 surface was seen; others, and objects mapped on them, are ignored. Tentative tracks are not counted.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import Truth, TruthObject, mesh_of
 from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.records import MapSnapshot, Phase, TrackedObject
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.map_folder.saved_map import SavedMap
 
 MIN_SEEN = 0.3
 LOOSE_IOU, STRICT_IOU = 0.25, 0.5

@@ -4,25 +4,20 @@ In order: in pieces, or a wrong box; too small in every keyframe; absorbed by an
 keyframes, or the end of its own tracks.
 """
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from hickory_stream.evaluation.overlap import LiesOn, Overlap
+from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
 from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.inspection.track_history import ending_text, when
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from hickory_stream.evaluation.overlap import LiesOn, Overlap
-    from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
-    from hickory_stream.map_folder.history.track_histories import Ending
-    from hickory_stream.mapping.entities.existence import ExistenceConfig
+from hickory_stream.map_folder.history.track_histories import Ending
+from hickory_stream.mapping.entities.existence import ExistenceConfig
 
 MissReason = Literal[
     "on no keyframe",

@@ -1,11 +1,12 @@
 """HTML page of an evaluation: every true object beside its match, worst first, in one file."""
 
-from __future__ import annotations
-
 import html
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.html_page import page, picture
@@ -18,21 +19,14 @@ from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Missed
 from hickory_stream.evaluation.truth import Truth, moved_truth
 from hickory_stream.evaluation.why import NoWhy, ReasonCount, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, with_tint
 from hickory_stream.pictures.object_thumbnail import CloseUp, close_up_of, draw
 from hickory_stream.pictures.raycast import Surface
 from hickory_stream.pictures.render_parts import superquadric_surfaces
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.records import TrackedObject
+from hickory_stream.records import TrackedObject
 
 _PICTURE_PX = 400
 _STYLE = """

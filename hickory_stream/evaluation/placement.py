@@ -3,21 +3,15 @@
 The odometry of a log may start anywhere. Drift is not rigid, and is not corrected.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import Truth, TruthFrame, frame_at, moved_truth
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_angle_rad
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.map_folder.saved_map import SavedMap
+from hickory_stream.map_folder.saved_map import SavedMap
 
 _SAME_WORLD_M, _SAME_WORLD_RAD = 2.0, np.deg2rad(15.0)
 # A transform is accepted if its residual is at most this share of the difference, and at most this many metres.

@@ -12,27 +12,20 @@ from hickory_stream.evaluation.truth import Truth, frame_at, instances_of, mesh_
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.inspection.keyframe_labels import (
     LEAST_CODE,
-    NO_MASK,
-    STRUCTURE,
     SeenAs,
     Where,
     area_px,
-    on_structure,
     range_of,
-    rays_of,
     seen_as,
 )
 from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorded_steps
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.records import MapSnapshot
 
 # Parts of a true object that are a smaller share of it than this are not reported.
 _LEAST_PART = 0.02
 _LEAST_OTHER = 0.05
-# Stride in pixels of the rays that are cast where an older journal has no structure per pixel.
-_RAY_STRIDE = 2
 # This quantile of the mask sizes of a run is its detection limit: smaller objects are "too small".
 _SMALLEST_MASKS = 0.02
 
@@ -90,7 +83,6 @@ class TruthSightings:
     num_keyframes: int
     smallest_mask_px: float
     masks_of: dict[int, dict[int | None, int]]
-    has_coarse_depth: bool
 
 
 def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSightings:
@@ -98,14 +90,12 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
 
     Raises `MapFolderError` for the journal, `RecordingError` for an image of the truth.
     """
-    config = known_config(path)
-    reach, voxel_m = range_of(config), config.mapping.voxels.space_m
+    reach = range_of(known_config(path))
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
-    book, areas, num_keyframes, is_coarse = TrackHistories(), [], 0, True
+    book, areas, num_keyframes = TrackHistories(), [], 0
     masks_of: dict[int, dict[int | None, int]] = {}
-    scene: Scene | None = None
     for step in recorded_steps(path, final):
         keyframe = step.keyframe
         book.add(None if keyframe is None else keyframe.observed.frame_index, step.decisions)
@@ -119,10 +109,6 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         shown = _shown(truth, at, found)
         labels = seen_as(keyframe, reach)
         codes = np.asarray(labels.codes)
-        if keyframe.observed.coarse is None:
-            is_coarse = False
-            scene = scene or _scene(truth)
-            codes = _with_structure(keyframe, shown, codes, scene, voxel_m)
         camera_from_map = invert(keyframe.map_from_odometry @ keyframe.observed.world_from_camera)
         table = _table(shown, codes)
         for truth_id in sorted(found.keys() & table.keys()):
@@ -144,7 +130,6 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         num_keyframes=num_keyframes,
         smallest_mask_px=float(np.quantile(areas, _SMALLEST_MASKS)) if areas else 0.0,
         masks_of=masks_of,
-        has_coarse_depth=is_coarse,
     )
 
 
@@ -152,14 +137,6 @@ def _middle(truth: Truth, index: int) -> NDArray[np.float64]:
     item = truth.objects[index]
     vertices = moved_mesh(mesh_of(truth, item), item.world_from_object).vertices
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0, dtype=np.float64)
-
-
-def _scene(truth: Truth) -> Scene:
-    surfaces = []
-    for item in truth.objects:
-        mesh = moved_mesh(mesh_of(truth, item), item.world_from_object)
-        surfaces.append(Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id))
-    return Scene(surfaces)
 
 
 def _shown(truth: Truth, at: int, known: dict[int, list[Sighting]]) -> NDArray[np.int64]:
@@ -233,26 +210,3 @@ def _count_masks(
                 if track_id is not None:
                     counts = masks_of.setdefault(track_id, {})
                     counts[truth_id or None] = counts.get(truth_id or None, 0) + px
-
-
-def _with_structure(
-    keyframe: RecordedKeyframe, shown: NDArray[np.int64], codes: NDArray[np.int32], scene: Scene, voxel_m: float
-) -> NDArray[np.int32]:
-    step = _RAY_STRIDE
-    rows, columns = np.nonzero((shown[::step, ::step] > 0) & (codes[::step, ::step] == NO_MASK))
-    if len(rows) == 0:
-        return codes
-    odometry_from_camera = keyframe.observed.world_from_camera
-    map_from_camera = keyframe.map_from_odometry @ odometry_from_camera
-    rays = rays_of(keyframe.camera, np.stack([columns, rows], axis=1) * float(step))
-    lengths = np.linalg.norm(rays, axis=1, keepdims=True)
-    directions = (rays / lengths) @ map_from_camera[:3, :3].T
-    hits = scene.cast(np.broadcast_to(map_from_camera[:3, 3], directions.shape), directions).distance_m
-    met = np.isfinite(hits)
-    points = apply(odometry_from_camera, (rays / lengths)[met] * hits[met, None])
-    is_structure = np.zeros(len(rows), dtype=bool)
-    is_structure[met] = on_structure(keyframe, np.asarray(points, dtype=np.float64), voxel_m)
-    small = np.zeros(codes[::step, ::step].shape, dtype=bool)
-    small[rows[is_structure], columns[is_structure]] = True
-    large = np.repeat(np.repeat(small, step, axis=0), step, axis=1)[: codes.shape[0], : codes.shape[1]]
-    return np.where(large & (codes == NO_MASK), np.int32(STRUCTURE), codes)

@@ -1,10 +1,8 @@
 """Why true objects are missing in a map, and the origins of its false objects."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.evaluation.false_origins import FalseObject, origin_of
@@ -12,17 +10,13 @@ from hickory_stream.evaluation.match import Score, TruthScore, best_box, meshes_
 from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.placement import placed_truth
+from hickory_stream.evaluation.truth import Truth
 from hickory_stream.evaluation.truth_sightings import Sighting, sightings_of_truth
 from hickory_stream.inspection.track_history import Stretch, TrackStory, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot
 from hickory_stream.map_folder.history.recorded_config import known_config
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,7 +40,6 @@ class Why:
     num_objects: int
     num_aside: int
     num_keyframes: int
-    has_coarse_depth: bool
     reasons: tuple[ReasonCount, ...]
     origins: tuple[ReasonCount, ...]
     missed: tuple[Missed, ...]
@@ -126,7 +119,6 @@ def why_of(found: Investigation) -> Why:
         num_objects=score.num_objects,
         num_aside=len(aside),
         num_keyframes=evidence.sightings.num_keyframes,
-        has_coarse_depth=evidence.sightings.has_coarse_depth,
         reasons=_counts(item.reason for item in missed),
         origins=_counts(item.origin for item in false),
         missed=missed,

@@ -1,19 +1,14 @@
 """Histories and reasons as text."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from hickory_stream.evaluation.why import ObjectStory, ReasonCount, Why
-    from hickory_stream.inspection.point_history import PlaceStory
-    from hickory_stream.inspection.track_history import Stretch, TrackStory
+from hickory_stream.evaluation.why import ObjectStory, ReasonCount, Why
+from hickory_stream.inspection.point_history import PlaceStory
+from hickory_stream.inspection.track_history import Stretch, TrackStory
 
 _WIDTH = 120
 

@@ -3,24 +3,18 @@
 A dead process costs one robot; the others go on. The first SIGINT or SIGTERM stops all in order, the second kills.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING
+from multiprocessing.context import SpawnProcess
+from types import FrameType
 
 from hickory_stream.fleet import robot_process
 from hickory_stream.fleet.messages import Ended, Message
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from multiprocessing.context import SpawnProcess
-    from types import FrameType
-
-    from hickory_stream.fleet.robot_process import RobotTask
+from hickory_stream.fleet.robot_process import RobotTask
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

@@ -1,15 +1,16 @@
 """A fleet from its robots to its merged map: processes, rounds, joins, recording, end."""
 
-from __future__ import annotations
-
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.modes import Progress
 from hickory_stream.errors import InputError
 from hickory_stream.fleet.crew import run_crew
 from hickory_stream.fleet.finish import Finished, finish, merged_path, why_alone
@@ -21,18 +22,12 @@ from hickory_stream.fleet.resuming import check_same
 from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import FLEET, FleetConfig, Robot
 from hickory_stream.map_folder.manifest import is_map_folder
+from hickory_stream.merging.joining import JoiningConfig
+from hickory_stream.records import MapSnapshot
+from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.fleet import FleetRecording, ShownRobot
 from hickory_stream.sinks.rerun.viewer import ViewerChoice, ViewerKind, check_viewer
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.merging.joining import JoiningConfig
-    from hickory_stream.records import MapSnapshot
-    from hickory_stream.sinks.disk_sink import DiskSinkConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -145,16 +145,6 @@ def exp_each(values):
     return out
 
 
-@kernel
-def times_3(a, b):
-    """Return the product of two (3, 3) matrices."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-    return out
-
-
 @kernel(error_model="numpy")
 def solve_in_place(matrix, right):
     """Put the solution of matrix x = right into `right` (n,), by elimination with row exchange; both are used up."""

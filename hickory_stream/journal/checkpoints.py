@@ -26,8 +26,7 @@ class PackedTrack:
 
     track: Track
     is_solid: NDArray[np.bool_]
-    #: None in older journals.
-    num_solid: int | None = None
+    num_solid: int
 
     def __post_init__(self) -> None:
         freeze(self, "is_solid", "?", (len(self.track.cloud.keys),))

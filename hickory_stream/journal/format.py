@@ -2,17 +2,16 @@
 
 Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
 CBOR (`record_codec`), one channel per kind of event. Further channels: `step` (position of the run), `checkpoint`
-(state of the core), `color` (compressed images of keyframes), `told` (decisions; not in older journals). Log time is
-the stamp.
+(state of the core), `color` (compressed images of keyframes), `told` (decisions). Log time is the stamp.
 
 A checkpoint is two chunks, so that its records are read without its arrays. First comes `checkpoint/arrays`: each array
 is a frame of zstd with a checksum. Then come the records, which refer to arrays and records by chunk and place in it
-(the first message of either chunk is neither). Older journals have one chunk for both.
+(the first message of either chunk is neither).
 
-Observations are stored as returns of their masks instead of points (`packed_frames`); older journals have points.
+Observations are stored as returns of their masks instead of points (`packed_frames`).
 
 Before a step's chunk is one with the changed public records of the map, without points and space (`known_records`):
-first their places, then the records. Older journals have none.
+first their places, then the records.
 
 A chunk reaches the operating system at the end of its step, and the disk (fsync) at most `flush_s` later: a killed
 process loses nothing, a lost power supply that much.
@@ -23,12 +22,9 @@ from __future__ import annotations
 JOURNAL = "journal.mcap"
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "hickory-stream/1"
-STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT, ARRAYS, KNOWN = 1, 2, 3, 4, 5, 6, 7
-"""Checkpoints of older journals have records of another form: they are not read, the events are all that is needed."""
-
+STEP, COLOR, TOLD, CHECKPOINT, ARRAYS, KNOWN = 1, 3, 4, 5, 6, 7
 TOPICS = {
     STEP: "step",
-    OLD_CHECKPOINT: "checkpoint",
     COLOR: "color",
     TOLD: "told",
     CHECKPOINT: "checkpoint/2",

@@ -76,8 +76,8 @@ class LazyRecords:
 
     def _unpacked(self, values: Mapping[str, Any], later: _Later, checks: Checks) -> Track:
         track, marks, num_solid = (values.get(name) for name in ("track", "is_solid", "num_solid"))
-        known = (values.keys() | later.keys()) - {"num_solid"}
-        if known != {"track", "is_solid"} or not isinstance(track, Track) or not checks["num_solid"](num_solid):
+        is_known = values.keys() | later.keys() == {"track", "is_solid", "num_solid"}
+        if not is_known or not isinstance(track, Track) or not checks["num_solid"](num_solid):
             raise TypeError(f"a packed track of {sorted(values)}")
         cloud = track.cloud
 
@@ -88,7 +88,7 @@ class LazyRecords:
                 if not isinstance(is_solid, np.ndarray) or is_solid.dtype != bool or is_solid.shape != array.shape[:1]:
                     raise ValueError(f"invalid marks of {len(array)} points")
                 kept: NDArray[Any] = array[is_solid]
-                if num_solid is not None and len(kept) != num_solid:
+                if len(kept) != num_solid:
                     raise ValueError(f"marks of {len(kept)} points that are said to be {num_solid}")
                 return kept
 

@@ -65,8 +65,7 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
     observations = [one if one.returns is None else replace(one, returns=None) for one in event.observations]
     has_returns = any(one.returns is not None for one in event.observations)
     plain = replace(event, observations=tuple(observations)) if has_returns else event
-    camera = None if event.coarse is None else event.coarse.camera
-    if camera is None or not _are_within(event.observations, camera):
+    if event.coarse is None or not _are_within(event.observations, event.coarse.camera):
         return plain
     packed: list[PackedPoints] = []
     masks: list[NDArray[np.bool_]] = []
@@ -98,7 +97,7 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
 def unpacked_frame(frame: PackedFrame) -> FrameObserved:
     """Return the unpacked event. Raises `ValueError`: parts do not fit, or other points result."""
     event = frame.event
-    if event.coarse is None or event.coarse.camera is None:
+    if event.coarse is None:
         raise ValueError("returns of a frame without a camera")
     places = [part.place for part in frame.packed]
     if any(a >= b for a, b in pairwise([-1, *places, len(event.observations)])):

@@ -294,16 +294,16 @@ class Journal:
                 return bisect_right(self._steps, chunk) - 1, self._checkpoint(chunk, reads_later=reads_later)
         return None
 
-    def known(self, index: int) -> Known | None:
-        """Return the places of all public records of the map after a step; None in an older journal.
+    def known(self, index: int) -> Known:
+        """Return the places of all public records of the map after a step.
 
-        Raises `MapFolderError`: it is damaged.
+        Raises `MapFolderError`: it is damaged, or has no such records.
         """
         changes: list[Known] = []
         while not changes or not changes[-1].is_whole:
             chunk = self._steps[index] - 1 if index >= 0 else -1
             if chunk < 0 or self._places[chunk].channel != KNOWN:
-                return None
+                raise MapFolderError(f"{self.path} has no records of step {index}: play the log again")
             changes.append(self._decoded(self._chunks.messages(chunk)[0].data, "Known"))
             index -= 1
         objects: dict[int, tuple[int, int]] = {}
@@ -388,9 +388,7 @@ class Journal:
 
         def array(place: PartPlace) -> NDArray[Any]:
             try:
-                data = stored.get(place[:2])  # of an older journal, which has no chunks of arrays
-                if data is None:
-                    data = unpacked_array(chunks.messages(place.chunk)[place.number].data)
+                data = unpacked_array(chunks.messages(place.chunk)[place.number].data)
                 return as_array(decode(data), place.length)
             except (ValueError, IndexError) as error:
                 raise MapFolderError(f"{chunks.path} is damaged or of another version: {error}") from error

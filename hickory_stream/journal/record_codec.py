@@ -5,7 +5,7 @@ constructors, and only if every field holds its declared type (`field_types`): t
 
 Arrays are stored for compression: voxel keys as blocks of bits or differences, colours as differences from the ones
 before and from green, points at multiples of a step as differences, mean colours as sums with counts, depth as
-differences from neighbours (older journals lack the last two), other numbers byte by byte.
+differences from neighbours, other numbers byte by byte.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class PartPlace(NamedTuple):
 
     chunk: int
     number: int
-    #: None in older journals.
+    #: None if unknown.
     length: int | None = None
 
 

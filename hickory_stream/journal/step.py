@@ -92,7 +92,7 @@ class JournalEntry:
 
     step: Step
     events: tuple[Event, ...]
-    #: None in older journals.
+    #: None where nothing was published.
     told: Told | None = None
 
 

@@ -1,13 +1,14 @@
 """The pose graph of a map: its submaps as nodes, odometry between them, and loops."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import (
     LoopEdge,
     OdometryEdge,
@@ -17,15 +18,8 @@ from hickory_stream.graph.factors import (
     registered_covariance,
 )
 from hickory_stream.graph.record import record_of
+from hickory_stream.graph.solution import Solution
 from hickory_stream.records import GraphEdge, Loop, PoseGraphRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.config import GraphConfig
-    from hickory_stream.graph.solution import Solution
 
 # The odometry's certainty of the vertical: visual-inertial ones know it to half a degree.
 _GRAVITY_SIGMA_RAD = 0.01

@@ -1,24 +1,17 @@
 """The place of a submap in the earlier ones by the pose graph, where a search for loops begins."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.solution import NoSolution
 from hickory_stream.loops.pose_graph import Node, pose_graph, world_from_submaps
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.config import GraphConfig
-    from hickory_stream.records import Loop
+from hickory_stream.records import Loop
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

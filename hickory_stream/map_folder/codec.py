@@ -158,7 +158,7 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: b
         stamp_ns=stamp(document["stamp_ns"]),
         submaps=tuple(_decode_submap(entry, read, is_whole=is_whole) for entry in document["submaps"]),
         objects=tuple(_decode_object(entry, read, is_whole=is_whole) for entry in document["objects"]),
-        # Maps without a search for loops, and those from before there was one, have none.
+        # Maps without a search for loops have none.
         graph=None if document.get("graph") is None else _decode_graph(document["graph"]),
     )
     _check_ids("submap", [submap.id for submap in snapshot.submaps])
@@ -279,8 +279,7 @@ def _object_with(entry: Json, arrays: Arrays) -> TrackedObject:
         best_view=None if entry["best_view"] is None else views[whole_number(entry["best_view"], "best view")],
         shape=None if entry["shape"] is None else _decode_shape(entry["shape"]),
         merged_ids=tuple(whole_number(i, "merged id") for i in entry["merged_ids"]),
-        # Maps from before sketches have none.
-        sketch=None if entry.get("sketch") is None else decode_superquadrics(entry["sketch"]),
+        sketch=None if entry["sketch"] is None else decode_superquadrics(entry["sketch"]),
     )
 
 
@@ -353,11 +352,10 @@ def _decode_shape(entry: Json) -> ObjectShape:
             num_checked=whole_number(checked["num_checked"], "a number of pieces"),
             num_outside=whole_number(checked["num_outside"], "a number of pieces"),
             max_g=float(checked["max_g"]),
-            # Maps from before the certificate were checked by sampling only.
-            is_certified=flag(checked.get("is_certified", False)),
-            is_fallback=flag(checked.get("is_fallback", False)),
-            margin_m=float(checked.get("margin_m", 0.0)),
-            shell_m=float(checked.get("shell_m", 0.0)),
+            is_certified=flag(checked["is_certified"]),
+            is_fallback=flag(checked["is_fallback"]),
+            margin_m=float(checked["margin_m"]),
+            shell_m=float(checked["shell_m"]),
         ),
         verdict=plain_text(entry.get("verdict", "")),
         fit_kind=entry.get("fit_kind", "solid"),

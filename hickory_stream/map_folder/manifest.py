@@ -22,9 +22,8 @@ _ENTRIES: dict[str, Any] = {
     "software_version": str,
     "finished_cleanly": bool,
     "digest": (str, type(None)),
+    **{"run": dict, "is_reproducible": bool, "extractor": str, "processor": str, "seal": str},
 }
-# Not in maps from before them.
-_LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extractor": str, "processor": str, "seal": str}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,16 +64,14 @@ def read_manifest(folder: Path) -> Manifest:
     if entry.get("kind") != _KIND:
         raise MapFolderError(f"{folder} is no map folder: its {MANIFEST} is another program's; name one of `play`'s")
     _check_format(folder, entry.get("format"))
-    kinds = {**_ENTRIES, **_LATER_ENTRIES}
-    for name in kinds:
+    for name, kind in _ENTRIES.items():
         if name not in entry:
-            if name in _ENTRIES:
-                raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {name!r}; play the log again")
-        elif not isinstance(entry[name], kinds[name]):
+            raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {name!r}; play the log again")
+        if not isinstance(entry[name], kind):
             raise MapFolderError(
                 f"{folder / MANIFEST} is damaged: its {name!r} is of {type(entry[name]).__name__}; play the log again"
             )
-    return Manifest(**{name: entry[name] for name in kinds if name in entry})
+    return Manifest(**{name: entry[name] for name in _ENTRIES})
 
 
 def is_map_folder(folder: Path) -> bool:

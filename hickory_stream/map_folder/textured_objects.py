@@ -3,20 +3,14 @@
 The texture is the same whenever it is made; stored, it would double layer 2 and cost every run.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.map_folder.views import crop_files, read_crop
+from hickory_stream.records import TrackedObject
 from hickory_stream.textures.bake import TextureConfig, textured
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.records import TrackedObject
-    from hickory_stream.textures.textured_mesh import TexturedMesh
+from hickory_stream.textures.textured_mesh import TexturedMesh
 
 
 def textured_object(

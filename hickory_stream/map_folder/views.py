@@ -183,8 +183,7 @@ def read_crop(views: Path, name: str) -> Crop:
             mask=mask > 127,
             camera=Camera(**description["camera"]),
             world_from_camera=description["world_from_camera"],
-            # Views of maps from before there was a sensor have none.
-            sensor=DepthSensor(**description.get("sensor", {})),
+            sensor=DepthSensor(**description["sensor"]),
         )
     except (OSError, KeyError, TypeError, ValueError, IndexError, RecursionError) as error:
         raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error

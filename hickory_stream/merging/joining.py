@@ -1,17 +1,12 @@
 """Whether two maps are aligned surely enough to be made one: a merged map is built upon, so more is required."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal, count_text
 from hickory_stream.alignment.config import AlignConfig
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.base.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from hickory_stream.alignment.object_map import ObjectMap
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,24 +14,33 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, read_only
+from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import RejectedMask
 
 
 def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive."""
+    """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive; 0 of a label without a pixel."""
     boxes = np.zeros((count, 4), dtype=np.int64)
-    for i, place in enumerate(find_objects(labels, max_label=count - 1)):
-        if place is not None:
-            rows, columns = place
-            boxes[i + 1] = columns.start, rows.start, columns.stop, rows.stop
+    _fill_boxes(read_only(labels), boxes)
     return boxes
+
+
+@kernel
+def _fill_boxes(labels, boxes):
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            i = labels[y, x]
+            if i > 0:
+                if boxes[i, 3] == 0:
+                    boxes[i, 0], boxes[i, 1] = x, y
+                boxes[i, 0], boxes[i, 2] = min(boxes[i, 0], x), max(boxes[i, 2], x + 1)
+                boxes[i, 3] = y + 1
 
 
 # Overlaps are counted with this stride in both directions: a mask worth keeping has hundreds of such pixels.
@@ -113,24 +122,12 @@ def why_no_object(
 ) -> str | None:
     """Return the reason if a label (at working resolution) is too long for an object, else None."""
     x0, y0, x1, y1 = box
-    window = surface.points_world[y0:y1, x0:x1], labels[y0:y1, x0:x1]
-    extent = float(_extent_m(*window, label))
+    points = surface.points_world[y0:y1, x0:x1].reshape(-1, 3)
+    part = points.take(np.flatnonzero((labels[y0:y1, x0:x1].ravel() == label) & np.isfinite(points[:, 2])), axis=0)
+    extent = float(extent_of(part).max()) if len(part) else 0.0
     if extent > max_extent_m:  # the robust extent, without outliers, is slower: computed only if it matters
-        part = window[0][window[1] == label]
-        part = part[np.isfinite(part[:, 2])]
         extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
     return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
-
-
-@kernel
-def _extent_m(points, labels, label):
-    low, high = np.full(3, np.float32(np.inf)), np.full(3, np.float32(-np.inf))
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            if labels[y, x] == label and np.isfinite(points[y, x, 2]):
-                for k in range(3):
-                    low[k], high[k] = min(low[k], points[y, x, k]), max(high[k], points[y, x, k])
-    return max((high - low).max(), np.float32(0.0))
 
 
 def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:

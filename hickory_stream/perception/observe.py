@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
@@ -19,6 +18,7 @@ from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
+from hickory_stream.perception.masks import label_boxes
 from hickory_stream.records import Frame, Observation, RejectedMask, Returns, Segmentation
 
 # Players convert the cameras' millimetres to metres by this factor.
@@ -85,12 +85,9 @@ def mask_area_of(camera: Camera) -> float:
 
 
 def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int], NDArray[np.bool_]]]:
-    masks = []
-    for i, place in enumerate(find_objects(instances)):
-        if place is not None:
-            rows, columns = place
-            masks.append(((columns.start, rows.start, columns.stop, rows.stop), instances[place] == i + 1))
-    return masks
+    boxes = label_boxes(instances, int(instances.max(initial=0)) + 1).tolist()
+    places = [(i, (x0, y0, x1, y1)) for i, (x0, y0, x1, y1) in enumerate(boxes) if y1 > 0]
+    return [((x0, y0, x1, y1), instances[y0:y1, x0:x1] == i) for i, (x0, y0, x1, y1) in places]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -157,7 +154,9 @@ def points_of_returns(
     returns: Returns, box_px: tuple[int, int, int, int], camera: Camera, world_from_camera: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return the points (N, 3) of an observation from its returns in the frame's camera and pose."""
-    points = _points_of(returns.depth_mm, *rays_of(camera.cropped(*box_px)))
+    (u, v), (y, x) = rays_of(camera.cropped(*box_px)), np.nonzero(returns.depth_mm)
+    z = returns.depth_mm[y, x].astype(np.float32) * MILLIMETRE
+    points = np.stack([z * u[x], z * v[y], z], axis=1)
     return _means_in_world(points, np.zeros(points.shape, np.uint8), world_from_camera, returns.voxel_m)[0]
 
 
@@ -190,20 +189,6 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
                         colors[count, k] = rgb[y, x, k]
                     count += 1
     return points[:count], colors[:count], depth_mm, is_whole, num_reliable
-
-
-@kernel
-def _points_of(depth_mm, u, v):
-    height, width = depth_mm.shape
-    points = np.empty((np.count_nonzero(depth_mm), 3), dtype=np.float32)
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            if depth_mm[y, x]:
-                z = np.float32(depth_mm[y, x]) * MILLIMETRE
-                points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z
-                count += 1
-    return points
 
 
 def voxel_means(

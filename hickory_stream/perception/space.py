@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
@@ -97,8 +98,9 @@ def _free_keys(
     if len(ends) == 0:
         return np.empty(0, dtype=np.int64)
     # A margin of one voxel on each side, for rounding in a ray's last step.
-    low = np.floor(np.minimum(ends.min(axis=0), origin) / voxel_m).astype(np.int64) - 1
-    high = np.floor(np.maximum(ends.max(axis=0), origin) / voxel_m).astype(np.int64) + 1
+    lowest, highest = bounds_of(ends)
+    low = np.floor(np.minimum(lowest, origin) / voxel_m).astype(np.int64) - 1
+    high = np.floor(np.maximum(highest, origin) / voxel_m).astype(np.int64) + 1
     sides = high - low + 1
     sides[2] = -(-sides[2] // 64) * 64  # a column of voxels fills whole words
     words = np.zeros(int(sides.prod()) // 64, dtype=np.uint64)

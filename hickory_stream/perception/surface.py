@@ -109,160 +109,112 @@ def _reduce_depth(
     depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float, farthest_m: float
 ) -> NDArray[np.float32]:
     # The lower median of valid depths of a block is a measured depth, and thin objects survive.
-    out: NDArray[np.float32]
+    depth = depth[: height * factor, : width * factor]
+    is_valid = (depth >= np.float64(nearest_m)) & (depth <= np.float64(farthest_m))
+    depth = np.where(is_valid, depth, np.float32(np.inf))
     if factor == 2:
-        out = _median_of_four(depth, height, width, nearest_m, farthest_m)
+        a, b, c, d = (depth[i // 2 :: 2, i % 2 :: 2] for i in range(4))
+        lows, highs = (np.minimum(a, b), np.minimum(c, d)), (np.maximum(a, b), np.maximum(c, d))
+        between = np.maximum(*lows), np.minimum(*highs)
+        out = np.where(np.isfinite(np.maximum(*between)), np.minimum(*between), np.minimum(*lows))
     else:
-        out = _median_of_blocks(depth, factor, height, width, nearest_m, farthest_m)
+        blocks = depth.reshape(height, factor, width, factor).swapaxes(1, 2).reshape(height, width, -1)
+        middle = (np.maximum(np.isfinite(blocks).sum(axis=2), 1) - 1) // 2
+        out = np.take_along_axis(np.sort(blocks, axis=2), middle[..., None], axis=2)[..., 0]
+    out[np.isinf(out)] = np.nan
     return out
 
 
-@kernel
-def _median_of_blocks(depth, factor, height, width, nearest, farthest):
-    out = np.full((height, width), np.nan, dtype=np.float32)
-    block = np.empty(factor * factor, dtype=np.float32)
-    for y in range(height):
-        for x in range(width):
-            count = 0
-            for dy in range(factor):
-                for dx in range(factor):
-                    z = depth[y * factor + dy, x * factor + dx]
-                    if nearest <= z <= farthest:
-                        i = count
-                        while i > 0 and block[i - 1] > z:
-                            block[i] = block[i - 1]
-                            i -= 1
-                        block[i] = z
-                        count += 1
-            if count > 0:
-                out[y, x] = block[(count - 1) // 2]
-    return out
-
-
-@kernel
-def _median_of_four(depth, height, width, nearest, farthest):
-    # The same as `_median_of_blocks` for the usual blocks of 2 x 2, without branches: vectorised.
-    out = np.empty((height, width), dtype=np.float32)
-    none = np.float32(np.inf)
-    for y in range(height):
-        for x in range(width):
-            a, b = depth[2 * y, 2 * x], depth[2 * y, 2 * x + 1]
-            c, d = depth[2 * y + 1, 2 * x], depth[2 * y + 1, 2 * x + 1]
-            has_a, has_b = (nearest <= a) & (a <= farthest), (nearest <= b) & (b <= farthest)
-            has_c, has_d = (nearest <= c) & (c <= farthest), (nearest <= d) & (d <= farthest)
-            a, b, c, d = a if has_a else none, b if has_b else none, c if has_c else none, d if has_d else none
-            count = np.int32(has_a) + np.int32(has_b) + np.int32(has_c) + np.int32(has_d)
-            least = min(min(a, b), min(c, d))
-            second = min(max(min(a, b), min(c, d)), min(max(a, b), max(c, d)))
-            z = second if count > 2 else least
-            out[y, x] = z if count > 0 else np.float32(np.nan)
-    return out
-
-
-@kernel
-def _without_flying_pixels(depth):
+def _without_flying_pixels(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     # Flying pixels, between two surfaces, have fewer than three of their eight neighbours within 4 % of their depth. A
-    # pixel without a nearer neighbour may be a thin object and needs two. A row at a time: vectorised.
+    # pixel without a nearer neighbour may be a thin object and needs two.
     height, width = depth.shape
-    padded = np.full((height + 2, width + 2), np.float32(np.nan), dtype=np.float32)
-    padded[1 : height + 1, 1 : width + 1] = depth
-    out = np.empty((height, width), dtype=np.float32)
-    agreeing, nearer = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
-    for y in range(height):
-        agreeing[:], nearer[:] = 0, 0
-        for side in range(9):
-            row = padded[y + side // 3, side % 3 : side % 3 + width]
-            for x in range(width):
-                z = depth[y, x]
-                agrees = abs(row[x] - z) < 0.04 * z
-                agreeing[x] += agrees
-                nearer[x] += (row[x] < z) & (not agrees)
-        for x in range(width):
-            # The pixel itself is counted, too.
-            is_flying = (agreeing[x] < 4) & ((nearer[x] > 0) | (agreeing[x] < 3))
-            out[y, x] = np.float32(np.nan) if is_flying else depth[y, x]
-    return out
+    padded, gate = np.pad(depth, 1, constant_values=np.nan), np.float64(0.04) * depth
+    agreeing, has_nearer = np.zeros(depth.shape, dtype=np.int8), np.zeros(depth.shape, dtype=bool)
+    for y, x in np.ndindex(3, 3):
+        other = padded[y : y + height, x : x + width]
+        agrees = np.abs(other - depth) < gate
+        agreeing += agrees
+        has_nearer |= (other < depth) & ~agrees
+    # The pixel itself is counted, too.
+    is_flying = (agreeing < 4) & (has_nearer | (agreeing < 3))
+    return np.where(is_flying, np.float32(np.nan), depth)
 
 
-@kernel(error_model="numpy")
-def _normals(depth, u, v, radius, noise):
+def _normals(
+    depth: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32], radius: int, noise: np.float32
+) -> NDArray[np.float32]:
     # Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame. Two fits: to
-    # all pixels within 3 % of the depth, then within 3 sigma of the first plane. The sums of a row are accumulated
-    # offset by offset, vectorised. Inverse depths relative to the centre fit single precision.
+    # all pixels within 3 % of the depth, then within 3 sigma of the first plane. Inverse depths relative to the centre
+    # fit single precision.
     height, width = depth.shape
-    out = np.full((height, width, 3), np.nan, dtype=np.float32)
-    padded_width = width + 2 * radius
     # Pixels without a return, or beyond the image, get an inverse depth outside of every gate.
-    inverses = np.full((height + 2 * radius, padded_width), np.float32(-1e6), dtype=np.float32)
-    for y in range(height):
-        for x in range(width):
-            if not np.isnan(depth[y, x]):
-                inverses[y + radius, x + radius] = np.float32(1.0) / depth[y, x]
-    step_u, step_v = u[1] - u[0], v[1] - v[0]
-    planes = np.empty((3, width), dtype=np.float32)
-    sums = np.empty((9, width), dtype=np.float32)
-    gates, has_plane = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.bool_)
-    for y in range(height):
-        own = inverses[y + radius, radius : radius + width]
-        planes[:] = np.float32(0.0)
-        for step in range(2):
-            share = np.float32(0.03 if step == 0 else 0.003)
-            floor = np.float32(0.0) if step == 0 else np.float32(3.0) * noise
-            for x in range(width):
-                gates[x] = floor + share * own[x]
-            _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v)
-            _solve_planes(sums, planes, has_plane, step == 0)
-        for x in range(width):
-            # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
-            nx, ny = planes[0, x], planes[1, x]
-            nz = own[x] + planes[2, x] - nx * u[x] - ny * v[y]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            has_normal = has_plane[x] & (own[x] >= np.float32(0.0)) & (length > np.float32(0.0))
-            length = length if has_normal else np.float32(np.nan)
-            out[y, x, 0], out[y, x, 1], out[y, x, 2] = -nx / length, -ny / length, -nz / length
-    return out
+    inverses = np.full((height + 2 * radius, width + 2 * radius), np.float32(-1e6))
+    own = inverses[radius : radius + height, radius : radius + width]
+    planes, sums = np.zeros((height, 3, width), np.float32), np.empty((height, 9, width), np.float32)
+    has_plane, is_solved = np.empty((2, height, width), bool)
+    steps = [np.diff(side[:2]).sum() for side in (u, v)]  # 0 of a single pixel
+    with np.errstate(divide="ignore", invalid="ignore"):
+        np.divide(np.float32(1), depth, out=own, where=~np.isnan(depth))
+        _sum_windows(inverses, planes, np.float32(0.03) * own, sums, radius, *steps)
+        _solve_planes(sums, planes, has_plane)
+        gates = np.float32(3) * noise + np.float32(0.003) * own
+        _sum_windows(inverses, planes, gates, sums, radius, *steps)
+        _solve_planes(sums, planes, is_solved)
+        # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
+        a, b, c = planes.swapaxes(0, 1)
+        c = own + c - a * u - b * v[:, None]
+        length = np.sqrt(a * a + b * b + c * c)
+        has_normal = has_plane & (own >= 0) & (length > 0)
+        length = np.where(has_normal, -length, np.float32(np.nan))
+        return np.stack([a / length, b / length, c / length], axis=2)
 
 
 @kernel
-def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):
-    # n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gate.
-    width, one, none = len(own), np.float32(1.0), np.float32(0.0)
-    sums[:] = np.float32(0.0)
-    for dy in range(-radius, radius + 1):
-        dv = np.float32(dy) * step_v
-        for dx in range(-radius, radius + 1):
-            du = np.float32(dx) * step_u
-            row = inverses[y + radius + dy, radius + dx : radius + dx + width]
-            uu, uv, vv = du * du, du * dv, dv * dv
-            for x in range(width):
-                d = row[x] - own[x]
-                off = abs(d - (planes[2, x] + planes[0, x] * du + planes[1, x] * dv))
-                is_in = off <= gates[x]
-                sums[0, x] += one if is_in else none
-                sums[1, x] += du if is_in else none
-                sums[2, x] += dv if is_in else none
-                sums[3, x] += d if is_in else none
-                sums[4, x] += uu if is_in else none
-                sums[5, x] += uv if is_in else none
-                sums[6, x] += vv if is_in else none
-                sums[7, x] += d * du if is_in else none
-                sums[8, x] += d * dv if is_in else none
+def _sum_windows(inverses, planes, gates, sums, radius, step_u, step_v):
+    # n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gates. The sums of a row are accumulated offset by
+    # offset, vectorised.
+    height, width = gates.shape
+    one, none = np.float32(1.0), np.float32(0.0)
+    for y in range(height):
+        own, plane, gate, total = inverses[y + radius, radius : radius + width], planes[y], gates[y], sums[y]
+        total[:] = none
+        for dy in range(-radius, radius + 1):
+            dv = np.float32(dy) * step_v
+            for dx in range(-radius, radius + 1):
+                du = np.float32(dx) * step_u
+                row = inverses[y + radius + dy, radius + dx : radius + dx + width]
+                uu, uv, vv = du * du, du * dv, dv * dv
+                for x in range(width):
+                    d = row[x] - own[x]
+                    off = abs(d - (plane[2, x] + plane[0, x] * du + plane[1, x] * dv))
+                    is_in = off <= gate[x]
+                    total[0, x] += one if is_in else none
+                    total[1, x] += du if is_in else none
+                    total[2, x] += dv if is_in else none
+                    total[3, x] += d if is_in else none
+                    total[4, x] += uu if is_in else none
+                    total[5, x] += uv if is_in else none
+                    total[6, x] += vv if is_in else none
+                    total[7, x] += d * du if is_in else none
+                    total[8, x] += d * dv if is_in else none
 
 
 @kernel(error_model="numpy")
-def _solve_planes(sums, planes, has_plane, is_first):
-    # Without branches: vectorised. The plane stays the first fit's if the second has no solution.
-    for x in range(sums.shape[1]):
-        n, su, sv, sd = sums[0, x], sums[1, x], sums[2, x], sums[3, x]
-        cuu, cuv, cvv = sums[4, x] - su * su / n, sums[5, x] - su * sv / n, sums[6, x] - sv * sv / n
-        cud, cvd = sums[7, x] - su * sd / n, sums[8, x] - sv * sd / n
-        determinant = cuu * cvv - cuv * cuv
-        is_solved = (n >= np.float32(6.0)) & (determinant >= np.float32(1e-3) * ((cuu + cvv) * (cuu + cvv)))
-        a = (cud * cvv - cvd * cuv) / determinant
-        b = (cvd * cuu - cud * cuv) / determinant
-        c = (sd - a * su - b * sv) / n
-        if is_first:
-            has_plane[x] = is_solved
-        planes[0, x] = a if is_solved else planes[0, x]
-        planes[1, x] = b if is_solved else planes[1, x]
-        planes[2, x] = c if is_solved else planes[2, x]
+def _solve_planes(sums, planes, has_plane):
+    # Without branches: vectorised. Without a solution the plane stays as it is.
+    for y in range(len(sums)):
+        own, plane = sums[y], planes[y]
+        for x in range(own.shape[1]):
+            n, su, sv, sd = own[0, x], own[1, x], own[2, x], own[3, x]
+            cuu, cuv, cvv = own[4, x] - su * su / n, own[5, x] - su * sv / n, own[6, x] - sv * sv / n
+            cud, cvd = own[7, x] - su * sd / n, own[8, x] - sv * sd / n
+            determinant = cuu * cvv - cuv * cuv
+            is_solved = (n >= np.float32(6.0)) & (determinant >= np.float32(1e-3) * ((cuu + cvv) * (cuu + cvv)))
+            a = (cud * cvv - cvd * cuv) / determinant
+            b = (cvd * cuu - cud * cuv) / determinant
+            c = (sd - a * su - b * sv) / n
+            has_plane[y, x] = is_solved
+            plane[0, x] = a if is_solved else plane[0, x]
+            plane[1, x] = b if is_solved else plane[1, x]
+            plane[2, x] = c if is_solved else plane[2, x]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.geometry.rigid import apply
@@ -21,10 +22,8 @@ from hickory_stream.records import ObjectShape
 from hickory_stream.shapes.inflate.cover import (
     NET,
     NET_FACTOR,
-    local_abs,
     log_gauge,
     log_gauge_of_ball,
-    new_stairs,
     place_of,
     put,
 )
@@ -102,10 +101,10 @@ def certify(
 
     (V, 3) vertices, (F, 3) faces and (N, 3) points of layer 1 in the frame of the primitives.
     """
-    arguments = (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
+    bodies = _bodies(primitives)
     log_g = float(log(g)) - NUMERICAL_MARGIN
-    pieces, uncovered, worst = _triangles(vertices_world, faces, *arguments, r_safe_m, log_g, NET, NET_FACTOR)
-    out_points, worst_point = _balls(points_world, *arguments, r_safe_m, log_g, NET, NET_FACTOR)
+    pieces, uncovered, worst = _triangles(vertices_world, faces, bodies, r_safe_m, log_g)
+    out_points, worst_point = _balls(points_world, bodies, r_safe_m, log_g, NET, NET_FACTOR)
     out_cells = len(uncovered_cells(primitives, inside, g))
     return Certificate(
         num_triangles=len(faces),
@@ -169,10 +168,14 @@ def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDAr
     log_g = float(log(g)) - NUMERICAL_MARGIN
     left = np.column_stack([inside.centers, inside.distances_m])
     half = inside.half_m
-    row_ends = inside.row_ends
+    row_ends, bodies = inside.row_ends, _bodies(primitives)
+    # Per axis of a primitive, the reach of a cell of half a side of 1.
+    turned = np.abs(primitives.world_from_local[:, :3, :3])
+    reach = turned[:, 0] + turned[:, 1] + turned[:, 2]
     for level in range(_CELL_LEVELS):
-        shape = (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
-        left = left[_cells(np.ascontiguousarray(left[:, :3]), row_ends, half, *shape, log_g)]
+        are_out = np.ones(len(left), bool)
+        _drop_covered(left, row_ends, half, bodies, half * reach, log_g, are_out)
+        left = left[are_out]
         if len(left) == 0 or level == _CELL_LEVELS - 1 or len(left) > _MOST_SPLIT:
             break
         half /= 2
@@ -198,69 +201,78 @@ def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[
     return np.column_stack([parts.reshape(-1, 3), farthest])[way - farthest > margin_m]
 
 
-@kernel
-def _body(exponents, axes, pose):
-    # Centre, rotation, semi-axes, exponents as numbers: counting references to an array takes longer than the rest.
-    return (
-        (pose[0, 3], pose[1, 3], pose[2, 3]),
-        (pose[0, 0], pose[0, 1], pose[0, 2], pose[1, 0], pose[1, 1], pose[1, 2], pose[2, 0], pose[2, 1], pose[2, 2]),
-        (axes[0], axes[1], axes[2]),
-        (exponents[0], exponents[1]),
-    )
+def _bodies(primitives: Superquadrics) -> NDArray[np.float64]:
+    # (K, 17) centres, rotations, semi-axes and exponents.
+    poses = primitives.world_from_local
+    parts = (poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9), primitives.semi_axes_m, primitives.exponents)
+    return np.concatenate(parts, axis=1)
 
 
-@kernel
-def _local(body, x, y, z):
-    center, r, _, _ = body
-    dx, dy, dz = x - center[0], y - center[1], z - center[2]
-    return r[0] * dx + r[3] * dy + r[6] * dz, r[1] * dx + r[4] * dy + r[7] * dz, r[2] * dx + r[5] * dy + r[8] * dz
+def _triangles(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], bodies: NDArray[np.float64], radius: float, log_g: float
+) -> tuple[int, int, float]:
+    # The pieces, the uncovered triangles, and the largest ln G of a covered one.
+    bounds = np.full((len(bodies), len(vertices)), np.inf)
+    for body, own in zip(bodies, bounds, strict=True):
+        local = np.abs(portable.matmul(vertices - body[:3], body[3:12].reshape(3, 3)))
+        order, stairs = np.argsort(-local[:, 0], kind="stable"), np.empty((len(vertices), 3))
+        _fill_bounds(local, order, stairs, body, radius, log_g, NET, NET_FACTOR, own)
+    # Most triangles are covered as they are.
+    a, b, c = (bounds[:, faces[:, i]] for i in range(3))
+    best = np.maximum(np.maximum(a, b), c).min(axis=0)
+    is_in = best < np.inf
+    corners = np.concatenate([vertices, bounds.T], axis=1)
+    stack = np.empty((_MAX_BISECTIONS + 2, 3, corners.shape[1]))
+    depths = np.zeros(len(stack), np.int64)
+    left = faces[~is_in].astype(np.int64)
+    pieces, uncovered, worst = _bisect(corners, left, stack, depths, bodies, radius, log_g, NET, NET_FACTOR)
+    return pieces + int(is_in.sum()), uncovered, max(worst, float(best[is_in].max(initial=-700.0)))
 
 
-@kernel
-def _ball_in(x, y, z, body, radius, log_g, net, factor):
-    # An upper bound of ln G over a ball; infinity if the ball may protrude.
-    x, y, z = _local(body, x, y, z)
-    return _local_ball_in(abs(x), abs(y), abs(z), body[2], body[3], radius, log_g, net, factor)
-
-
-@kernel
-def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):
-    if x + radius > axes[0] or y + radius > axes[1] or z + radius > axes[2]:
+@kernel(error_model="numpy")
+def _local_ball_in(x, y, z, body, radius, log_g, net, factor):
+    # An upper bound of ln G over a ball around a local point >= 0; infinity if the ball may protrude.
+    a, b, c, e1, e2 = body[12], body[13], body[14], body[15], body[16]
+    if x + radius > a or y + radius > b or z + radius > c:
         return np.inf
-    e1, e2 = exponents[0], exponents[1]
     limit = 0.5 * e1 * log_g
-    value = log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor)
+    value = log_gauge_of_ball(x, y, z, radius, a, b, c, e1, e2, limit, net, factor)
     return 2.0 / e1 * value if value <= limit else np.inf
 
 
 @kernel
-def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):
-    # (N,) bounds as `_ball_in`; a dominated point has the bound of the one that dominates it.
-    local = local_abs(points, pose)
-    sizes, powers = (axes[0], axes[1], axes[2]), (exponents[0], exponents[1])
-    out = np.empty(len(points))
-    stairs, count = new_stairs(len(points)), 0
-    for n in np.argsort(-local[:, 0], kind="mergesort"):
+def _ball_in(x, y, z, body, radius, log_g, net, factor):
+    # The same around a point in the world.
+    dx, dy, dz = x - body[0], y - body[1], z - body[2]
+    x = abs(body[3] * dx + body[6] * dy + body[9] * dz)
+    y = abs(body[4] * dx + body[7] * dy + body[10] * dz)
+    z = abs(body[5] * dx + body[8] * dy + body[11] * dz)
+    return _local_ball_in(x, y, z, body, radius, log_g, net, factor)
+
+
+@kernel
+def _fill_bounds(local, order, stairs, body, radius, log_g, net, factor, out):
+    # (N,) bounds as `_local_ball_in`; a dominated point has the bound of the one that dominates it.
+    count = np.int64(0)
+    for n in order:
         x, y, z = local[n, 0], local[n, 1], local[n, 2]
         at = place_of(stairs, count, y)
         if at < count and stairs[at, 1] >= z:
             out[n] = stairs[at, 2]
             continue
-        out[n] = _local_ball_in(x, y, z, sizes, powers, radius, log_g, net, factor)
+        out[n] = _local_ball_in(x, y, z, body, radius, log_g, net, factor)
         if out[n] < np.inf:
             count = put(stairs, count, at, y, z, out[n])
-    return out
 
 
-@kernel
-def _balls(points, exponents, axes, poses, radius, log_g, net, factor):
+@kernel(error_model="numpy")
+def _balls(points, bodies, radius, log_g, net, factor):
     out, worst, last = 0, -700.0, 0
     for n in range(len(points)):
         best = np.inf
-        for i in range(len(axes)):
-            k = (last + i) % len(axes)
-            body = _body(exponents[k], axes[k], poses[k])
-            best = _ball_in(points[n, 0], points[n, 1], points[n, 2], body, radius, log_g, net, factor)
+        for i in range(len(bodies)):
+            k = (last + i) % len(bodies)
+            best = _ball_in(points[n, 0], points[n, 1], points[n, 2], bodies[k], radius, log_g, net, factor)
             if best < np.inf:
                 last = k
                 break
@@ -271,130 +283,101 @@ def _balls(points, exponents, axes, poses, radius, log_g, net, factor):
     return out, worst
 
 
-@kernel
-def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):
-    # The pieces, the uncovered triangles, and the largest ln G of a covered one.
-    count = len(axes)
-    bounds = np.empty((len(vertices), count))
-    for k in range(count):
-        bounds[:, k] = _balls_in(vertices, exponents[k], axes[k], poses[k], radius, log_g, net, factor)
-    corners = np.empty((_MAX_BISECTIONS + 2, 3, 3))
-    values = np.empty((_MAX_BISECTIONS + 2, 3, count))
-    depths = np.empty(_MAX_BISECTIONS + 2, np.int64)
+@kernel(error_model="numpy")
+def _bisect(points, faces, stack, depths, bodies, radius, log_g, net, factor):
+    # `points` (V, 3 + K): places, and the bounds for the primitives.
+    width = points.shape[1]
     pieces, uncovered, worst = 0, 0, -700.0
     for f in range(len(faces)):
-        # Most triangles are covered as they are.
-        best = np.inf
-        for k in range(count):
-            best = min(best, max(bounds[faces[f, 0], k], bounds[faces[f, 1], k], bounds[faces[f, 2], k]))
-        if best < np.inf:
-            pieces += 1
-            worst = max(worst, best)
-            continue
-        size = 1
         for c in range(3):
-            corners[0, c] = vertices[faces[f, c]]
-            values[0, c] = bounds[faces[f, c]]
-        depths[0] = 0
+            for i in range(width):
+                stack[0, c, i] = points[faces[f, c], i]
+        size, depths[0] = 1, 0
         while size > 0:
             size -= 1
-            best = np.inf
-            for k in range(count):
-                best = min(best, max(values[size, 0, k], values[size, 1, k], values[size, 2, k]))
+            best, least_0, least_1, least_2 = np.inf, np.inf, np.inf, np.inf
+            for i in range(3, width):
+                of_0, of_1, of_2 = stack[size, 0, i], stack[size, 1, i], stack[size, 2, i]
+                best = min(best, max(of_0, of_1, of_2))
+                least_0, least_1, least_2 = min(least_0, of_0), min(least_1, of_1), min(least_2, of_2)
             if best < np.inf:
                 pieces += 1
                 worst = max(worst, best)
                 continue
-            if depths[size] == _MAX_BISECTIONS or _is_lost(values[size]):
+            # No bisection helps a corner that lies in no primitive.
+            if depths[size] == len(stack) - 2 or max(least_0, least_1, least_2) == np.inf:
                 uncovered += 1
                 break
             first, most = 0, -1.0
             for c in range(3):
-                squared = ((corners[size, c] - corners[size, (c + 1) % 3]) ** 2).sum()
+                squared = 0.0
+                for i in range(3):
+                    squared += (stack[size, c, i] - stack[size, (c + 1) % 3, i]) ** 2
                 if squared > most:
                     first, most = c, squared
             second = (first + 1) % 3
-            middle = 0.5 * (corners[size, first] + corners[size, second])
-            corners[size + 1], values[size + 1] = corners[size], values[size]
-            corners[size, second], corners[size + 1, first] = middle, middle
-            for k in range(count):
-                body = _body(exponents[k], axes[k], poses[k])
-                bound = _ball_in(middle[0], middle[1], middle[2], body, radius, log_g, net, factor)
-                values[size, second, k], values[size + 1, first, k] = bound, bound
+            for c in range(3):
+                for i in range(width):
+                    stack[size + 1, c, i] = stack[size, c, i]
+            for i in range(3):
+                middle = 0.5 * (stack[size, first, i] + stack[size, second, i])
+                stack[size, second, i], stack[size + 1, first, i] = middle, middle
+            x, y, z = stack[size, second, 0], stack[size, second, 1], stack[size, second, 2]
+            for k in range(len(bodies)):
+                bound = _ball_in(x, y, z, bodies[k], radius, log_g, net, factor)
+                stack[size, second, 3 + k], stack[size + 1, first, 3 + k] = bound, bound
             depths[size] += 1
             depths[size + 1] = depths[size]
             size += 2
     return pieces, uncovered, worst
 
 
-@kernel
-def _is_lost(values):
-    # No bisection helps a corner that lies in no primitive.
-    for c in range(3):
-        if values[c].min() == np.inf:
-            return True
-    return False
-
-
-@kernel
-def _cells(centers, row_ends, half, exponents, axes, poses, log_g):
+@kernel(error_model="numpy")
+def _drop_covered(centers, row_ends, half, bodies, reach, log_g, are_out):
     # Primitives are convex: one that contains two cells of a row contains those between them.
-    out = np.ones(len(centers), np.bool_)
-    reach = np.empty((len(axes), 3))
-    for k in range(len(axes)):
-        for i in range(3):
-            reach[k, i] = half * (abs(poses[k, 0, i]) + abs(poses[k, 1, i]) + abs(poses[k, 2, i]))
     last, n = 0, 0
     while n < len(centers):
         end = n
-        for step in range(len(axes)):
-            k = (last + step) % len(axes)
-            body, around = _body(exponents[k], axes[k], poses[k]), (reach[k, 0], reach[k, 1], reach[k, 2])
-            if not _holds(centers[n, 0], centers[n, 1], centers[n, 2], half, around, body, log_g):
+        for step in range(len(bodies)):
+            k = (last + step) % len(bodies)
+            if not _holds(centers[n], half, bodies[k], reach[k], log_g):
                 continue
-            # The farthest cell of the row that it contains too.
-            end, beyond = row_ends[n], row_ends[n] + 1
-            if not _holds(centers[end, 0], centers[end, 1], centers[end, 2], half, around, body, log_g):
-                end, beyond = n, end
-                while beyond - end > 1:
-                    middle = (end + beyond) // 2
-                    x, y, z = centers[middle, 0], centers[middle, 1], centers[middle, 2]
-                    if _holds(x, y, z, half, around, body, log_g):
-                        end = middle
-                    else:
-                        beyond = middle
-            out[n : end + 1] = False
+            # The farthest cell of the row that it contains too: the last one is tried first.
+            middle, beyond = row_ends[n], row_ends[n] + 1
+            while beyond - end > 1:
+                if _holds(centers[middle], half, bodies[k], reach[k], log_g):
+                    end = middle
+                else:
+                    beyond = middle
+                middle = (end + beyond) // 2
+            for m in range(n, end + 1):
+                are_out[m] = False
             last = k
             break
         n = end + 1
-    return out
 
 
-@kernel
-def _holds(x, y, z, half, reach, body, log_g):
-    center = _local(body, x, y, z)
-    x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
-    axes, exponents = body[2], body[3]
-    if x > axes[0] or y > axes[1] or z > axes[2]:
+@kernel(error_model="numpy")
+def _holds(center, half, body, reach, log_g):
+    dx, dy, dz = center[0] - body[0], center[1] - body[1], center[2] - body[2]
+    x = body[3] * dx + body[6] * dy + body[9] * dz
+    y = body[4] * dx + body[7] * dy + body[10] * dz
+    z = body[5] * dx + body[8] * dy + body[11] * dz
+    a, b, c, e1, e2 = body[12], body[13], body[14], body[15], body[16]
+    if abs(x) > a or abs(y) > b or abs(z) > c:
         return False
-    e1, e2 = exponents[0], exponents[1]
     limit = 0.5 * e1 * log_g
-    # Cheap test first, sufficient for most cells: the axis-aligned box around the rotated cell.
-    around = log_gauge(x + reach[0], y + reach[1], z + reach[2], axes, e1, e2)
-    return around <= limit or _holds_corners(center, half, body, limit)
-
-
-@kernel
-def _holds_corners(center, half, body, limit):
-    _, r, axes, exponents = body
+    # Cheap test first, sufficient for most cells: the axis-aligned box around the rotated cell; then the corners.
+    if log_gauge((abs(x) + reach[0]) / a, (abs(y) + reach[1]) / b, (abs(z) + reach[2]) / c, e1, e2) <= limit:
+        return True
     for corner in range(8):
         dx = half if corner & 1 else -half
         dy = half if corner & 2 else -half
         dz = half if corner & 4 else -half
-        x = abs(center[0] + r[0] * dx + r[3] * dy + r[6] * dz)
-        y = abs(center[1] + r[1] * dx + r[4] * dy + r[7] * dz)
-        z = abs(center[2] + r[2] * dx + r[5] * dy + r[8] * dz)
-        if log_gauge(x, y, z, axes, exponents[0], exponents[1]) > limit:
+        u = abs(x + body[3] * dx + body[6] * dy + body[9] * dz)
+        v = abs(y + body[4] * dx + body[7] * dy + body[10] * dz)
+        w = abs(z + body[5] * dx + body[8] * dy + body[11] * dz)
+        if log_gauge(u / a, v / b, w / c, e1, e2) > limit:
             return False
     return True
 

@@ -3,71 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 
 
-@kernel
-def pieces_of(cells):
+def pieces_of(
+    cells: NDArray[np.bool_],
+) -> tuple[NDArray[np.int32], NDArray[np.int64], list[tuple[slice, ...]]]:
     """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells."""
-    # int32 labels, (N + 1,) sizes, (N + 1, 2, 3) first cells and ends of bounds; other cells have label and size 0.
-    nx, ny, nz = cells.shape
-    labels, stack = np.zeros(cells.shape, np.int32), np.empty(cells.size, np.int64)
-    count = 0
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if cells[i, j, k] and labels[i, j, k] == 0:
-                    count += 1
-                    _flood(cells, labels, stack, i, j, k, count)
-    sizes, bounds = np.zeros(count + 1, np.int64), np.zeros((count + 1, 2, 3), np.int64)
-    bounds[:, 0] = max(nx, ny, nz)
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                n = labels[i, j, k]
-                if n > 0:
-                    sizes[n] += 1
-                    bounds[n, 0, 0], bounds[n, 1, 0] = min(bounds[n, 0, 0], i), i + 1
-                    bounds[n, 0, 1], bounds[n, 1, 1] = min(bounds[n, 0, 1], j), max(bounds[n, 1, 1], j + 1)
-                    bounds[n, 0, 2], bounds[n, 1, 2] = min(bounds[n, 0, 2], k), max(bounds[n, 1, 2], k + 1)
-    return labels, sizes, bounds
+    # int32 labels, 0 for other cells; (N,) sizes and bounds.
+    labels, count = ndimage.label(cells)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return labels, sizes, ndimage.find_objects(labels) if count else []
 
 
-@kernel
-def piece_around(cells, i, j, k):
+def piece_around(cells: NDArray[np.bool_], i: int, j: int, k: int) -> NDArray[np.bool_]:
     """Return whether each of (nx, ny, nz) cells is in the piece of a set one."""
-    labels = np.zeros(cells.shape, np.int32)
-    _flood(cells, labels, np.empty(cells.size, np.int64), i, j, k, 1)
-    return labels == 1
-
-
-@kernel
-def _flood(cells, labels, stack, i, j, k, label):
-    nx, ny, nz = cells.shape
-    labels[i, j, k] = label
-    stack[0] = (i * ny + j) * nz + k
-    waiting = 1
-    while waiting > 0:
-        waiting -= 1
-        line = stack[waiting] // nz
-        k = stack[waiting] - line * nz
-        i = line // ny
-        j = line - i * ny
-        for way in range(6):
-            u, v, w = i, j, k
-            if way < 2:
-                u += 2 * way - 1
-            elif way < 4:
-                v += 2 * way - 5
-            else:
-                w += 2 * way - 9
-            if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
-                continue
-            if cells[u, v, w] and labels[u, v, w] == 0:
-                labels[u, v, w] = label
-                stack[waiting] = (u * ny + v) * nz + w
-                waiting += 1
+    labels, _ = ndimage.label(cells)
+    return np.asarray(labels == labels[i, j, k])
 
 
 @kernel

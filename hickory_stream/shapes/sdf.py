@@ -88,132 +88,118 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
 
     A closed mesh gives 1 inside and 0 outside, overlapping parts more; of negative signed volume it is reversed.
     """
-    return np.asarray(np.sign(_signed_volume(corners)) * _windings(corners, np.array(shape)) / 3)
-
-
-@kernel
-def _signed_volume(corners):
+    a, b, c = corners.transpose(1, 2, 0)
     # Six times the volume, positive for outward faces.
-    total = 0.0
-    for f in range(len(corners)):
-        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
-        total += a[0] * (b[1] * c[2] - b[2] * c[1])
-        total += a[1] * (b[2] * c[0] - b[0] * c[2])
-        total += a[2] * (b[0] * c[1] - b[1] * c[0])
-    return total
-
-
-@kernel
-def _windings(corners, shape):
-    # All terms are multiples of a half, so that no sum is rounded.
-    out = np.zeros((shape[0], shape[1], shape[2]), np.float32)
+    terms = np.stack([a[i] * (b[i - 2] * c[i - 1] - b[i - 1] * c[i - 2]) for i in range(3)], axis=1)
+    sign = np.sign(np.cumsum(terms)[-1]) if len(corners) else 0.0
+    # All other terms are multiples of a half, so that no sum is rounded.
+    out = np.zeros(shape, np.float32)
     for axis in range(3):
-        # Cells in the order of the array: those before the axis, along it, after it.
-        num_after = 1
-        for after in range(axis + 1, 3):
-            num_after *= shape[after]
-        first, steps = _crossings(corners, shape, axis, num_after)
-        _add_running_sums(first, steps, shape[axis], num_after, out.reshape(-1))
-    return out
+        turned = (axis, (axis + 1) % 3, (axis + 2) % 3)
+        sums = np.zeros([shape[i] for i in turned], np.float32)
+        _fill_crossings(corners, *turned, sums)
+        out += sums.transpose([(i - axis) % 3 for i in range(3)])
+    return np.asarray(sign * out / 3)
 
 
-@kernel
-def _crossings(corners, shape, axis, num_after):
-    across, up = (axis + 1) % 3, (axis + 2) % 3
-    size = shape[axis]
-    first = np.zeros(shape[across] * shape[up], np.float32)
-    steps = np.zeros(len(first) * size, np.float32)
+@kernel(error_model="numpy")
+def _fill_crossings(corners, axis, across, up, sums):
+    # From one side: `sums` (of zeros) begin with the axis that is crossed along.
     # A small irrational offset from the lattice, so that no line runs along an edge of a regular mesh.
     dy, dz = 1.2360679e-4, 1.7320508e-4
-    cell = np.zeros(3, np.int64)
-    for f in range(corners.shape[0]):
+    for f in range(len(corners)):
         y0, y1, y2 = corners[f, 0, across] - dy, corners[f, 1, across] - dy, corners[f, 2, across] - dy
         z0, z1, z2 = corners[f, 0, up] - dz, corners[f, 1, up] - dz, corners[f, 2, up] - dz
         area = (y1 - y0) * (z2 - z0) - (y2 - y0) * (z1 - z0)
         if area == 0.0:
             continue
         sign = 1.0 if area > 0.0 else -1.0
-        for j in range(
-            max(int(np.ceil(min(y0, y1, y2))), 0), min(int(np.floor(max(y0, y1, y2))), shape[across] - 1) + 1
-        ):
-            for k in range(
-                max(int(np.ceil(min(z0, z1, z2))), 0), min(int(np.floor(max(z0, z1, z2))), shape[up] - 1) + 1
-            ):
+        first_j, last_j = max(int(np.ceil(min(y0, y1, y2))), 0), int(np.floor(max(y0, y1, y2)))
+        first_k, last_k = max(int(np.ceil(min(z0, z1, z2))), 0), int(np.floor(max(z0, z1, z2)))
+        for j in range(first_j, min(last_j + 1, sums.shape[1])):
+            for k in range(first_k, min(last_k + 1, sums.shape[2])):
                 w0 = ((y1 - j) * (z2 - k) - (y2 - j) * (z1 - k)) / area
                 w1 = ((y2 - j) * (z0 - k) - (y0 - j) * (z2 - k)) / area
                 w2 = 1.0 - w0 - w1
                 if w0 < 0.0 or w1 < 0.0 or w2 < 0.0:
                     continue
-                x = w0 * corners[f, 0, axis] + w1 * corners[f, 1, axis] + w2 * corners[f, 2, axis]
-                last = int(np.floor(x))
-                cell[axis], cell[across], cell[up] = 0, j, k
-                place = (cell[0] * shape[1] + cell[1]) * shape[2] + cell[2]
-                line = place // (size * num_after) * num_after + place % num_after
+                last = int(np.floor(w0 * corners[f, 0, axis] + w1 * corners[f, 1, axis] + w2 * corners[f, 2, axis]))
                 # An outward face with its normal along the axis lies ahead of the solid, one against it behind.
-                first[line] += 0.5 * sign if last >= 0 else -0.5 * sign
-                if 0 <= last < size - 1:
-                    steps[place + (last + 1) * num_after] -= sign
-    return first, steps
+                sums[0, j, k] += 0.5 * sign if last >= 0 else -0.5 * sign
+                if 0 <= last < len(sums) - 1:
+                    sums[last + 1, j, k] -= sign
+    for i in range(1, len(sums)):
+        for j in range(sums.shape[1]):
+            for k in range(sums.shape[2]):
+                sums[i, j, k] += sums[i - 1, j, k]
 
 
-@kernel
-def _add_running_sums(first, steps, size, num_after, out):
-    for before in range(len(first) // num_after):
-        level = first[before * num_after : (before + 1) * num_after]
-        for i in range(size):
-            start = (before * size + i) * num_after
-            for n in range(num_after):
-                level[n] += steps[start + n]
-                out[start + n] += level[n]
+def _triangles(
+    corners: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    # The corners, unit normals and areas of the triangles that have a normal.
+    a, b, c = corners.transpose(1, 2, 0).copy()
+    (ax, ay, az), (bx, by, bz) = b - a, c - a
+    normals = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    x, y, z = normals
+    lengths = np.sqrt(x * x + y * y + z * z)
+    has_normal = ~(lengths < 1e-12)
+    if not has_normal.all():
+        corners, normals, lengths = corners[has_normal], normals[:, has_normal], lengths[has_normal]
+    return corners, (normals / lengths).T.copy(), 0.5 * lengths
 
 
-@kernel
-def _inward_reach(corners, inside, samples):
+_MOST_SAMPLES = 60_000
+
+
+def _inward_reach(
+    corners: NDArray[np.float64], inside: NDArray[np.bool_], samples: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     # (depth inwards in cells along the grid axis nearest to the normal, area, patch) of samples of the surface, since
     # the object is aligned with the grid. A patch is a block of cells with one such axis. About `samples` points per
     # face, fewer on small faces; surface within the solid is left out.
-    most = 60_000
-    thickness, areas, patches = np.empty(most), np.empty(most), np.empty(most, np.int64)
+    corners, normals, areas = _triangles(corners)
+    mains = np.abs(normals).argmax(axis=1)
+    sides = np.clip(np.sqrt(np.minimum(float(samples), areas / 4.0)), 1.0, 20.0).astype(np.int64)
+    reach, shares, patches = np.empty(_MOST_SAMPLES), np.empty(_MOST_SAMPLES), np.empty(_MOST_SAMPLES, np.int64)
+    count = _fill_reach(corners, normals, areas, mains, sides, inside, reach, shares, patches)
+    return reach[:count], shares[:count], patches[:count]
+
+
+@kernel(error_model="numpy")
+def _fill_reach(corners, normals, areas, mains, sides, inside, reach, shares, patches):
     count = 0
-    down = np.empty(3)
-    normal, point = np.empty(3), np.empty(3)
-    for f in range(corners.shape[0]):
-        t = corners[f]
-        if not unit_normal(t, normal):
-            continue
-        ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
-        vx, vy, vz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
-        area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
-        main = int(np.argmax(np.abs(normal)))
-        down[:] = 0.0
-        down[main] = -1.0 if normal[main] > 0.0 else 1.0
-        side = int(min(max(np.sqrt(min(float(samples), area / 4.0)), 1.0), 20.0))
+    for f in range(len(corners)):
+        t, main, side = corners[f], mains[f], sides[f]
+        is_up = normals[f, main] > 0.0
         for i in range(side):
             for j in range(side - i):
-                if count == most:
-                    return thickness[:count], areas[:count], patches[:count]
+                if count == len(reach):
+                    return count
                 a, b = (i + 1.0 / 3.0) / side, (j + 1.0 / 3.0) / side
-                for axis in range(3):
-                    point[axis] = t[0, axis] + a * (t[1, axis] - t[0, axis]) + b * (t[2, axis] - t[0, axis])
-                if is_buried(inside, point, normal):
+                x = t[0, 0] + a * (t[1, 0] - t[0, 0]) + b * (t[2, 0] - t[0, 0])
+                y = t[0, 1] + a * (t[1, 1] - t[0, 1]) + b * (t[2, 1] - t[0, 1])
+                z = t[0, 2] + a * (t[1, 2] - t[0, 2]) + b * (t[2, 2] - t[0, 2])
+                if is_buried(inside, x, y, z, normals, f):
                     continue
-                reach, first = 0.0, False
+                deepest = 0.0
                 for n in range(16):
                     along = 0.5 * (n + 1)
-                    x = int(np.floor(point[0] + along * down[0] + 0.5))
-                    y = int(np.floor(point[1] + along * down[1] + 0.5))
-                    z = int(np.floor(point[2] + along * down[2] + 0.5))
-                    if x < 0 or y < 0 or z < 0 or x >= inside.shape[0] or y >= inside.shape[1] or z >= inside.shape[2]:
+                    down = -along if is_up else along
+                    u = int(np.floor(x + (down if main == 0 else 0.0) + 0.5))
+                    v = int(np.floor(y + (down if main == 1 else 0.0) + 0.5))
+                    w = int(np.floor(z + (down if main == 2 else 0.0) + 0.5))
+                    if u < 0 or v < 0 or w < 0 or u >= inside.shape[0] or v >= inside.shape[1] or w >= inside.shape[2]:
                         break
-                    if inside[x, y, z]:
-                        reach, first = along, True
-                    elif first or along > 1.5:
+                    if inside[u, v, w]:
+                        deepest = along
+                    elif deepest > 0.0 or along > 1.5:
                         break
-                block = (int(point[0]) // 4 * 1000 + int(point[1]) // 4) * 1000 + int(point[2]) // 4
-                patches[count] = block * 6 + main * 2 + (normal[main] > 0.0)
-                thickness[count], areas[count] = reach, area / (side * (side + 1) / 2)
+                place = (int(x) // 4 * 1000 + int(y) // 4) * 1000 + int(z) // 4
+                patches[count] = place * 6 + main * 2 + is_up
+                reach[count], shares[count] = deepest, areas[f] / (side * (side + 1) / 2)
                 count += 1
-    return thickness[:count], areas[:count], patches[:count]
+    return count
 
 
 _ROOM = 512
@@ -225,59 +211,68 @@ _SQUARED, _ALONG_AB, _ALONG_AC = 9 * _ROOM, 10 * _ROOM, 11 * _ROOM
 _COLUMNS = 12
 
 
-@kernel(error_model="numpy")
-def lower_to_distances(corners, inside, squared, band):
+def lower_to_distances(
+    corners: NDArray[np.float64], inside: NDArray[np.bool_], squared: NDArray[np.float32], band: float
+) -> None:
     """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one."""
-    # `corners` (F, 3, 3) and `band` in cells; `squared` (nx, ny, nz) float32 in C order is at most band^2. Only the
-    # surface of the solid counts, not one part's inside another.
+    # `corners` (F, 3, 3) and `band` in cells; `squared` (nx, ny, nz) in C order is at most band^2. Only the surface of
+    # the solid counts, not one part's inside another.
+    corners, normals, _ = _triangles(corners)
+    a, b, c = corners.transpose(1, 2, 0).copy()
+    middles = (a + b + c) / 3.0
+    squares = [(x * x + y * y) + z * z for x, y, z in (corner - middles for corner in (a, b, c))]
+    radii2 = np.maximum(np.maximum(squares[0], squares[1]), squares[2])
+    low = np.ceil(np.minimum(np.minimum(a, b), c) - band).astype(np.int64).T
+    high = np.floor(np.maximum(np.maximum(a, b), c) + band).astype(np.int64).T
+    bounds = np.concatenate([np.maximum(low, 0), np.minimum(high + 1, squared.shape)], axis=1)
+    block, where = np.ones(_COLUMNS * _ROOM), np.empty((2, _ROOM), np.int64)
+    _lower_all(corners, normals, middles.T.copy(), radii2, bounds, band, inside, squared, block, where)
+
+
+@kernel(error_model="numpy")
+def _lower_all(corners, normals, middles, radii2, bounds, band, inside, squared, block, where):
     _, size_y, size_z = squared.shape
     cells = squared.reshape(-1)
-    block, where, near_where = np.ones(_COLUMNS * _ROOM), np.empty(_ROOM, np.int64), np.empty(_ROOM, np.int64)
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    nearest, normal, middle = np.empty(3), np.empty(3), np.empty(3)
-    for f in range(corners.shape[0]):
-        t = corners[f]
-        if not unit_normal(t, normal):
-            continue
-        a = (t[0, 0], t[0, 1], t[0, 2])
-        ab = (t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2])
-        ac = (t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2])
-        radius2 = 0.0
-        for axis in range(3):
-            middle[axis] = (t[0, axis] + t[1, axis] + t[2, axis]) / 3.0
-        for corner in range(3):
-            x, y, z = t[corner, 0] - middle[0], t[corner, 1] - middle[1], t[corner, 2] - middle[2]
-            radius2 = max(radius2, x * x + y * y + z * z)
-        for axis in range(3):
-            low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
-            high[axis] = min(int(np.floor(max(t[0, axis], t[1, axis], t[2, axis]) + band)), squared.shape[axis] - 1)
+    for f in range(len(corners)):
+        middle_x, middle_y = middles[f, 0], middles[f, 1]
         # Rows that pass the bounding ball by more than the band have no cell within it.
-        reach2 = (np.sqrt(radius2) + band) ** 2 * (1.0 + 1e-6)
-        count = 0
-        for i in range(low[0], high[0] + 1):
-            for j in range(low[1], high[1] + 1):
-                if (i - middle[0]) ** 2 + (j - middle[1]) ** 2 >= reach2:
+        reach2 = (np.sqrt(radii2[f]) + band) ** 2 * (1.0 + 1e-6)
+        count = np.int64(0)
+        for i in range(bounds[f, 0], bounds[f, 3]):
+            for j in range(bounds[f, 1], bounds[f, 4]):
+                if (i - middle_x) ** 2 + (j - middle_y) ** 2 >= reach2:
                     continue
                 row = (i * size_y + j) * size_z
-                for k in range(low[2], high[2] + 1):
+                for k in range(bounds[f, 2], bounds[f, 5]):
                     block[_X + count], block[_Y + count], block[_Z + count] = i, j, k
                     block[_KNOWN + count] = cells[row + k]
-                    where[count] = row + k
+                    where[0, count] = row + k
                     count += 1
                     if count == _ROOM:
-                        num_near = _gather_near(block, where, near_where, count, normal, middle, radius2)
-                        _fill_squared(block, num_near, a, ab, ac)
-                        _lower(cells, block, near_where, num_near, a, ab, ac, inside, normal, nearest)
-                        count = 0
-        num_near = _gather_near(block, where, near_where, count, normal, middle, radius2)
-        _fill_squared(block, num_near, a, ab, ac)
-        _lower(cells, block, near_where, num_near, a, ab, ac, inside, normal, nearest)
+                        _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count)
+                        count = np.int64(0)
+        _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count)
 
 
 @kernel(error_model="numpy")
-def _gather_near(block, where, near_where, count, normal, middle, radius2):
+def _lower(corners, normals, middles, radii2, f, inside, cells, block, where, count):
+    num_near = _gather_near(block, where, count, normals, middles, radii2[f], f)
+    _fill_squared(block, num_near, corners, f)
+    t = corners[f]
+    for n in range(num_near):
+        if block[_SQUARED + n] < block[_NEAR_KNOWN + n]:
+            v, w = block[_ALONG_AB + n], block[_ALONG_AC + n]
+            x = t[0, 0] + v * (t[1, 0] - t[0, 0]) + w * (t[2, 0] - t[0, 0])
+            y = t[0, 1] + v * (t[1, 1] - t[0, 1]) + w * (t[2, 1] - t[0, 1])
+            z = t[0, 2] + v * (t[1, 2] - t[0, 2]) + w * (t[2, 2] - t[0, 2])
+            if not is_buried(inside, x, y, z, normals, f):
+                cells[where[1, n]] = block[_SQUARED + n]
+
+
+@kernel(error_model="numpy")
+def _gather_near(block, where, count, normals, middles, radius2, f):
     # By the triangle's plane and bounding ball, which are lower bounds of the distance.
-    n0, n1, n2, m0, m1, m2 = normal[0], normal[1], normal[2], middle[0], middle[1], middle[2]
+    n0, n1, n2, m0, m1, m2 = normals[f, 0], normals[f, 1], normals[f, 2], middles[f, 0], middles[f, 1], middles[f, 2]
     for n in range(count):
         x, y, z = block[_X + n] - m0, block[_Y + n] - m1, block[_Z + n] - m2
         known = (1.0 - 1e-5) * block[_KNOWN + n]
@@ -291,17 +286,17 @@ def _gather_near(block, where, near_where, count, normal, middle, radius2):
         m = num_near
         block[_NEAR_X + m], block[_NEAR_Y + m], block[_NEAR_Z + m] = block[_X + n], block[_Y + n], block[_Z + n]
         block[_NEAR_KNOWN + m] = block[_KNOWN + n]
-        near_where[m] = where[n]
+        where[1, m] = where[0, n]
         num_near += int(block[_IS_NEAR + n])
     return num_near
 
 
 @kernel(error_model="numpy")
-def _fill_squared(block, count, a, ab, ac):
+def _fill_squared(block, count, corners, f):
     # Nearest points a + v ab + w ac: Ericson, Real-Time Collision Detection (2005), 5.1.5.
-    a0, a1, a2 = a
-    abx, aby, abz = ab
-    acx, acy, acz = ac
+    a0, a1, a2 = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+    abx, aby, abz = corners[f, 1, 0] - a0, corners[f, 1, 1] - a1, corners[f, 1, 2] - a2
+    acx, acy, acz = corners[f, 2, 0] - a0, corners[f, 2, 1] - a1, corners[f, 2, 2] - a2
     bb, bc, cc = (
         abx * abx + aby * aby + abz * abz,
         abx * acx + aby * acy + abz * acz,
@@ -335,38 +330,14 @@ def _fill_squared(block, count, a, ab, ac):
         block[_ALONG_AC + n] = w
 
 
-@kernel(error_model="numpy")
-def _lower(cells, block, where, count, a, ab, ac, inside, normal, nearest):
-    for n in range(count):
-        if block[_SQUARED + n] >= block[_NEAR_KNOWN + n]:
-            continue
-        v, w = block[_ALONG_AB + n], block[_ALONG_AC + n]
-        for axis in range(3):
-            nearest[axis] = a[axis] + v * ab[axis] + w * ac[axis]
-        if not is_buried(inside, nearest, normal):
-            cells[where[n]] = block[_SQUARED + n]
-
-
 @kernel
-def unit_normal(t, normal):
-    """Fill the unit normal of a triangle; return whether it has one."""
-    ax, ay, az = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
-    bx, by, bz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
-    normal[0], normal[1], normal[2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    if length < 1e-12:
-        return False
-    normal /= length
-    return True
-
-
-@kernel
-def is_buried(inside, point, normal):
+def is_buried(inside, x, y, z, normals, f):
     """Return whether the solid continues on both sides of a point of a triangle, at most of a cell's distance."""
-    for side in (-0.75, 0.75):
-        i = int(np.floor(point[0] + side * normal[0] + 0.5))
-        j = int(np.floor(point[1] + side * normal[1] + 0.5))
-        k = int(np.floor(point[2] + side * normal[2] + 0.5))
+    for n in range(2):
+        side = 1.5 * n - 0.75
+        i = int(np.floor(x + side * normals[f, 0] + 0.5))
+        j = int(np.floor(y + side * normals[f, 1] + 0.5))
+        k = int(np.floor(z + side * normals[f, 2] + 0.5))
         if i < 0 or j < 0 or k < 0 or i >= inside.shape[0] or j >= inside.shape[1] or k >= inside.shape[2]:
             return False
         if not inside[i, j, k]:

@@ -1,15 +1,10 @@
 """Saves snapshots into the map folder at intervals; a save costs as much as the objects that changed since the last."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from hickory_stream.base.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.records import FrameReport, MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -5,32 +5,25 @@ with a `nav_msgs/Path` on `/plan`. Names and QoS are the ones of Nav2 and RViz. 
 sends from a bounded queue, and late messages are dropped and counted.
 """
 
-from __future__ import annotations
-
 import logging
 import queue
 import threading
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Collection
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import HickoryError, InputError
 from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import FreeSpace
+from hickory_stream.navigation.robot import Robot
 from hickory_stream.navigation.search import NoPath, Path, plan
 from hickory_stream.navigation.stand_ins import SeenSurface
+from hickory_stream.records import FrameReport, MapSnapshot
 from hickory_stream.sinks import ros_messages as ros
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.robot import Robot
-    from hickory_stream.records import FrameReport, MapSnapshot
-
 
 logger = logging.getLogger(__name__)
 

@@ -3,26 +3,20 @@
 `vision_msgs` and `map_msgs` are not in ROS's core: their definitions here are the ones of Humble and later.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.navigation.costmap import CostmapUpdate
 from hickory_stream.navigation.occupancy import GridFrame
+from hickory_stream.navigation.search import Path
 from hickory_stream.navigation.stand_ins import Obstacle, early_obstacles
 from hickory_stream.records import MapSnapshot, TrackedObject
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.search import Path
 
 FRAME_ID = "map"
 GRID, UPDATE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"

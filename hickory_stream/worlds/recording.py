@@ -3,15 +3,14 @@
 Room, walk, camera and samples draw from separate generators: a longer log of a seed begins like a shorter one.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import ConfigError
@@ -26,20 +25,14 @@ from hickory_stream.evaluation.truth import (
 )
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.pictures.ray_caster import CasterName
 from hickory_stream.worlds.object_models import model_mesh
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.scene import World, WorldObject, placed_otherwise
 from hickory_stream.worlds.shots import OCCLUDER_ID, Filming, Stage, shots_of
 from hickory_stream.worlds.trajectory import STEP_S, Trajectory
 from hickory_stream.worlds.visibility import SeenSurface
 from hickory_stream.worlds.zed_log import encode_png
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.pictures.ray_caster import CasterName
-    from hickory_stream.worlds.recording_config import RecordingConfig
 
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30

@@ -3,43 +3,37 @@
 One pass covers every message, for stamps and damage; another plays like `play` and decodes a few frames.
 """
 
-from __future__ import annotations
-
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, NoPosesError, RecordingError, UnknownLogError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, motion
+from hickory_stream.ports import Source
 from hickory_stream.poses.hand_eye import NoHandEye
 from players.doctor.depth_color_alignment import BorderScores, ColorAlignment, border_scores, color_alignment
 from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth_bias, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.stream_stats import StreamStats, nearest_ms
+from players.logs.containers import Log
 from players.logs.layouts.folder import FolderSource
 from players.logs.layouts.table import opener_of
+from players.logs.log_damage import Flaws
 from players.logs.log_opening import open_log, read_opening
 from players.logs.log_source import LogSource
 from players.opening import open_container, open_source
+from players.options import SourceOptions
 from players.poses.camera_poses import body_from_camera_of
 from players.poses.extrinsics import are_assumed, estimated_extrinsics, extrinsics_text
 from players.poses.odometry_source import OdometrySource, with_odometry
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Source
-    from players.logs.containers import Log
-    from players.logs.log_damage import Flaws
-    from players.options import SourceOptions
 
 SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
 

@@ -3,22 +3,17 @@
 Without an interface only this machine is asked; there is no multicast.
 """
 
-from __future__ import annotations
-
 import re
 import threading
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection
+from typing import Any
 from urllib.parse import parse_qs
 
 from hickory_stream.errors import RecordingError
 from players.live import dds_domain as dds
+from players.live.inbox import Inbox
 from players.live.transport import Health
 from players.logs.containers import Topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from players.live.inbox import Inbox
 
 _ADDRESS = re.compile(r"dds://(?P<domain>\d{0,3})/?(?:\?(?P<query>.*))?")
 _MOST_DOMAINS = 232

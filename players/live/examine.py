@@ -1,10 +1,8 @@
 """Examination of a live route: it is recorded for some seconds, then examined as a log."""
 
-from __future__ import annotations
-
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError
 from players.doctor.diagnosis import Diagnosis, examine_log
@@ -14,13 +12,9 @@ from players.live.opening import subscribe
 from players.live.recorder import Recorder
 from players.live.routes import route_of
 from players.live.status import LiveStatus, status_of, status_table
+from players.live.transport import LiveSource
 from players.opening import open_container
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from players.live.transport import LiveSource
-    from players.options import SourceOptions
+from players.options import SourceOptions
 
 _MOST_BYTES = 4_000_000_000
 _STEP_S = 0.25

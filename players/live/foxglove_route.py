@@ -4,8 +4,6 @@ Frames: JSON with an `op`, or binary: opcode, subscription, server time, bytes.
 Our own channels are published as a client does (`clientPublish`). Servers keep nothing: latched messages are repeated.
 """
 
-from __future__ import annotations
-
 import base64
 import binascii
 import json
@@ -13,19 +11,15 @@ import re
 import struct
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
 from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS, Inbox
 from players.live.transport import Health
+from players.logs.containers import Topic
 from players.logs.mcap_records import make_topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
-
-    from players.logs.containers import Topic
-
 
 _CLIENT_DATA = struct.Struct("<BI")
 _LATCHED_AGAIN_S = 5.0

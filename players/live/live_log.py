@@ -4,24 +4,18 @@ While it is opened, messages are kept so that it can be read repeatedly: all sma
 After `begin`, each message is passed on once and forgotten.
 """
 
-from __future__ import annotations
-
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
 
 from players.live.clock_offset import ClockOffset
+from players.live.inbox import Inbox
+from players.live.transport import LiveSource
+from players.logs.containers import LogMessage, Topic
 from players.logs.log_damage import Flaws
 from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-    from pathlib import Path
-
-    from players.live.inbox import Inbox
-    from players.live.transport import LiveSource
-    from players.logs.containers import LogMessage, Topic
 
 _IMAGES = (IMAGE, COMPRESSED_IMAGE)
 _KEPT_IMAGE_BYTES, _KEPT_SMALL_BYTES = 96 << 20, 64 << 20

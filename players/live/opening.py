@@ -3,34 +3,29 @@
 An attempt opens the messages so far as a log. It is repeated until it succeeds or patience ends.
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.ports import SourceAround
+from hickory_stream.records import RawFrame, SourceInfo
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
+from players.live.recorder import Recorder
 from players.live.routes import is_recording, route_of
 from players.live.status import ROLES, LiveStatus, status_of
 from players.live.transport import LiveSource, ReturnLink
+from players.logs.containers import Topic
 from players.logs.log_opening import choose_profile, open_log
+from players.logs.log_source import LogSource
 from players.logs.message_account import Account, TopicAccount
 from players.logs.topic_discovery import camera_infos, choose_images, pose_topics, tf_topics
 from players.messages.records import POSE_TYPES, TF
 from players.options import SourceOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from hickory_stream.records import RawFrame, SourceInfo
-    from players.live.recorder import Recorder
-    from players.logs.containers import Topic
-    from players.logs.log_source import LogSource
-    from players.profile import Profile
+from players.profile import Profile
 
 DEFAULT_PATIENCE_S = 60.0
 DEFAULT_ATTEMPT_S = 2.0

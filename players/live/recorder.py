@@ -4,22 +4,17 @@ Records are written without chunks: after a kill, the file holds everything up t
 The recording keeps within a budget of disk, and never slows the map.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import OutputError
+from players.logs.containers import LogMessage, Topic
 from players.logs.mcap_records import schema_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from players.logs.containers import LogMessage, Topic
 
 DEFAULT_LIMIT_BYTES = 50_000_000_000
 _RESERVE_BYTES = 1_000_000_000

@@ -1,19 +1,14 @@
 """Status of a live route and its topics: rates, ages, losses, what is missing, and the likely reason."""
 
-from __future__ import annotations
-
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from players.live.inbox import Arrivals
+from players.live.live_log import LiveLog
+from players.live.transport import LiveSource
+from players.logs.containers import Topic
 from players.messages.records import TF
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from players.live.live_log import LiveLog
-    from players.live.transport import LiveSource
-    from players.logs.containers import Topic
 
 _SILENT_S = 2.0
 ROLES = ("color", "depth", "color_info", "depth_info", "pose")

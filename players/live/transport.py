@@ -1,14 +1,10 @@
 """Interface of live routes: they announce topics, put messages into an inbox, and report their health."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from players.live.inbox import Inbox
+from players.live.inbox import Inbox
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

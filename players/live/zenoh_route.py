@@ -3,26 +3,21 @@
 A client neither listens nor scouts: it connects to the named address, or to this machine.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 import threading
 import time
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
 from players.live import zenoh_keys
+from players.live.inbox import Inbox
 from players.live.transport import Health
 from players.live.zenoh_return import ZenohReturn
 from players.logs.containers import Topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from players.live.inbox import Inbox
 
 _PORT = 7447
 _AGAIN_S = 0.5

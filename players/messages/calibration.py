@@ -121,10 +121,12 @@ def has_shape(camera: Camera, size: tuple[int, int]) -> bool:
 
 
 def scaled(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera of the same images, resized to (width, height)."""
+    """Return the camera of the same images, resized to (width, height); pixel centres are at integer coordinates."""
+    if size == (camera.width, camera.height):
+        return camera
     x, y = size[0] / camera.width, size[1] / camera.height
-    fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
-    return Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    cx, cy = (camera.cx + 0.5) * x - 0.5, (camera.cy + 0.5) * y - 0.5
+    return Camera(width=size[0], height=size[1], fx=camera.fx * x, fy=camera.fy * y, cx=cx, cy=cy)
 
 
 def _coefficients(info: CameraInfo, topic: str, lengths: tuple[int, ...]) -> tuple[float, ...]:

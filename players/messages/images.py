@@ -1,16 +1,17 @@
 """Image messages: headers, lazy decoding, and the first messages of a topic."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
+from players.logs.containers import Topic
 from players.messages.image_decoding import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
@@ -25,13 +26,6 @@ from players.messages.image_decoding import (
     rvl_size,
 )
 from players.messages.records import COMPRESSED_IMAGE, frame_name, header_stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from players.logs.containers import Topic
 
 _UNITS_PER_M = 1000.0
 """Integer depth is millimetres (REP 118)."""
@@ -181,6 +175,39 @@ def _compressed_size(message: Any) -> tuple[int, int] | None:
     return compressed_size(head) or compressed_size(head[12:]) or (rvl_size(head) if any(rvl_size(head)) else None)
 
 
+_PROBE_IMAGES = 15
+"""The number of images of each topic that are read for frame names, encodings and periods."""
+
+
+@dataclass(slots=True)
+class Probe:
+    """The first messages of an image topic: images, header stamps and log times, and the first error."""
+
+    topic: Topic
+    images: list[LogImage] = field(default_factory=list)
+    stamps_ns: list[int] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+    num_unreadable: int = 0
+    error: str = ""
+
+    @property
+    def first(self) -> LogImage | None:
+        """The first image that could be read."""
+        return self.images[0] if self.images else None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """The most frequent (width, height), the first of several."""
+        sizes = Counter(image.size for image in self.images if image.size is not None)
+        return sizes.most_common(1)[0][0] if sizes else None
+
+    @property
+    def is_full(self) -> bool:
+        """Whether enough images were read."""
+        number = self.topic.num_messages
+        return len(self.stamps_ns) >= (_PROBE_IMAGES if number is None else min(_PROBE_IMAGES, number))
+
+
 def check_decodes(probe: Probe, decode: Callable[[LogImage], Any], option: str) -> None:
     """Check that one of the first images can be decoded. Raises `RecordingError`: none can; the reason is the last."""
     for i, image in enumerate(probe.images, start=1):
@@ -220,36 +247,3 @@ def check_depth_unit(probe: Probe, units_per_m: float) -> None:
             f"If its numbers, up to {values_m[-1] * units_per_m:.0f}, are whole metres, {expected}; of any other unit, "
             "set depth_units_per_m in a --profile"
         )
-
-
-_PROBE_IMAGES = 15
-"""The number of images of each topic that are read for frame names, encodings and periods."""
-
-
-@dataclass(slots=True)
-class Probe:
-    """The first messages of an image topic: images, header stamps and log times, and the first error."""
-
-    topic: Topic
-    images: list[LogImage] = field(default_factory=list)
-    stamps_ns: list[int] = field(default_factory=list)
-    log_ns: list[int] = field(default_factory=list)
-    num_unreadable: int = 0
-    error: str = ""
-
-    @property
-    def first(self) -> LogImage | None:
-        """The first image that could be read."""
-        return self.images[0] if self.images else None
-
-    @property
-    def size(self) -> tuple[int, int] | None:
-        """The most frequent (width, height), the first of several."""
-        sizes = Counter(image.size for image in self.images if image.size is not None)
-        return sizes.most_common(1)[0][0] if sizes else None
-
-    @property
-    def is_full(self) -> bool:
-        """Whether enough images were read."""
-        number = self.topic.num_messages
-        return len(self.stamps_ns) >= (_PROBE_IMAGES if number is None else min(_PROBE_IMAGES, number))

@@ -7,10 +7,11 @@ An unknown link is an error that names both ends. `PoseReader` collects messages
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, NoPosesError
 from hickory_stream.geometry.rigid import compose, invert
@@ -21,13 +22,7 @@ from players.messages.records import CAMERA_INFO, TF, CameraInfo, StampedPose, c
 from players.poses.interpolation import is_pose_row, pose_of_row
 from players.poses.tf import Chain, Edge, FrameTree
 from players.poses.tracks import GrowingTrack, Jump, JumpLimits
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from players.profile import RigLinks
+from players.profile import RigLinks
 
 Key = tuple[str, str, str]
 """The key of a moving link: the topic (or "tf"), parent and child."""

@@ -1,9 +1,9 @@
-"""`explain` on a map of the first seconds of the demo: places, pixels and truth, older journals and killed runs."""
+"""`explain` on a map of the first seconds of the demo: places, pixels and truth, and killed runs."""
 
 import html
 import json
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 import numpy as np
@@ -17,7 +17,6 @@ from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.why import Why, reasons_of
 from hickory_stream.evaluation.why_text import why_text
-from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.writer import JournalWriter
@@ -25,20 +24,6 @@ from hickory_stream.map_folder.history.recorded import RecordedStep, frame_indic
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Observation
 from tests.output_forms import checked
-
-
-@pytest.fixture(scope="module")
-def older(short_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The map as a version wrote it whose journal kept neither decisions nor coarse depth."""
-    copy = tmp_path_factory.mktemp("older") / "map"
-    shutil.copytree(short_map, copy)
-    with Journal(short_map) as journal:
-        writer = JournalWriter(copy, flush_s=0.0)
-        for entry in journal.entries():
-            events = tuple(replace(e, coarse=None) if isinstance(e, FrameObserved) else e for e in entry.events)
-            writer.append(replace(entry, events=events, told=None))
-        writer.close()
-    return copy
 
 
 @pytest.fixture(scope="module")
@@ -127,13 +112,12 @@ def test_a_floor_place_was_structure_and_an_air_place_free(short_map, explain):
     assert space.floor_z_m is not None
 
 
-@pytest.mark.parametrize("is_older", [False, True])
-def test_a_pixel_of_a_mask_leads_to_the_track_of_the_mask(short_map, older, is_older, explain):
+def test_a_pixel_of_a_mask_leads_to_the_track_of_the_mask(short_map, explain):
     step = keyframes(short_map)[-1]
     observed = step.keyframe.observed
-    for observation in observed.observations[: 1 if is_older else 2]:
+    for observation in observed.observations[:2]:
         u, v = middle_of(observation)
-        told = explain.json(older if is_older else short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
+        told = explain.json(short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
         track_id = next(d.object_id for d in step.decisions if d.observation_index == observation.index)
         assert told["asked"]["text"] == f"in a mask that went to #{track_id}"
         own = next(sighting for sighting in told["sightings"] if sighting["frame"] == observed.frame_index)
@@ -231,14 +215,6 @@ def test_the_page_of_an_evaluation_explains_every_error(short_map, demo_truth, t
     for false in why.false:
         assert f"<b>object #{false.map_id}</b><span>{false.origin}</span>" in page
         assert f"<p class=why>{false.text}</p>" in page
-
-
-def test_an_older_journal_gives_the_same_reasons(older, demo_truth, why):
-    then = reasons_of(open_map(older), load_truth(demo_truth))
-    assert isinstance(then, Why)
-    assert (why.has_coarse_depth, then.has_coarse_depth) == (True, False)
-    assert [(m.truth_id, m.reason) for m in then.missed] == [(m.truth_id, m.reason) for m in why.missed]
-    assert then.origins == why.origins
 
 
 def test_a_configuration_of_another_version_is_no_hindrance(short_map, tmp_path, explain):

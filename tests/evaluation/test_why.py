@@ -79,7 +79,6 @@ def evidence(
             num_keyframes=20,
             smallest_mask_px=100.0,
             masks_of={7: {THING: 300, FLOOR: 700}},
-            has_coarse_depth=True,
         ),
         overlap=Overlap(snapshot, truth),
         boxes={o.id: o.box for o in objects},

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped
-from hickory_stream.journal.format import ARRAYS, CHECKPOINT, JOURNAL, OLD_CHECKPOINT
+from hickory_stream.journal.format import ARRAYS, CHECKPOINT, JOURNAL
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.journal.writer import JournalWriter
@@ -114,23 +114,6 @@ def test_arrays_of_equal_content_are_stored_once_while_in_use(tmp_path):
                     np.testing.assert_array_equal(a, b)
     # That of another shape is another one, and what no checkpoint had in between is forgotten.
     assert counts == [1, 1, 0, 2]
-
-
-def test_an_older_journal_is_read_without_its_checkpoints(tmp_path, monkeypatch):
-    monkeypatch.setattr("hickory_stream.journal.writer.CHECKPOINT", OLD_CHECKPOINT)
-    write(tmp_path)
-    with Journal(tmp_path) as journal:
-        assert [journal.checkpoint_before(i) for i in range(NUM_STEPS)] == [None] * NUM_STEPS
-        assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 1))
-        # It is gone on with: what is written from now on is read.
-        monkeypatch.undo()
-        writer = JournalWriter(tmp_path, flush_s=0.0, continued=journal)
-        writer.append(entry(NUM_STEPS))
-        writer.checkpoint(checkpoint(NUM_STEPS), 1000 + NUM_STEPS)
-        writer.close()
-    with Journal(tmp_path) as journal:
-        found = [journal.checkpoint_before(i) for i in range(NUM_STEPS + 1)]
-        assert [f and f[0] for f in found] == [None] * NUM_STEPS + [NUM_STEPS]
 
 
 def test_a_checkpoint_over_many_chunks_unpacks_each_once(tmp_path, monkeypatch):

@@ -72,8 +72,9 @@ def test_a_journal_without_records_has_none(tmp_path):
     writer.append(entry(3))
     writer.close()
     with Journal(tmp_path) as journal:
-        assert journal.known(0) is None
-        assert journal.known(3) is None
+        for index in (0, 3):
+            with pytest.raises(MapFolderError, match=f"has no records of step {index}"):
+                journal.known(index)
         for place in ((99, 1), (-1, 1), (0, 1), (1, 0), (1, 99)):
             with pytest.raises(MapFolderError, match="is damaged"):
                 journal.known_record(place, TrackedObject)

@@ -1,4 +1,5 @@
 import importlib.util
+import subprocess
 import sys
 import numpy as np
 import pytest
@@ -45,14 +46,33 @@ def test_both_casters_see_the_same():
 def test_without_open3d_pictures_are_drawn_and_measures_refused(monkeypatch):
     find_spec = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "open3d" else find_spec(name))
-    monkeypatch.setitem(sys.modules, "open3d", None)
+    monkeypatch.delitem(sys.modules, "open3d.pybind", raising=False)
     box = trimesh.creation.box((1, 1, 1))
     surface = Surface(vertices=box.vertices, faces=box.faces, colors=np.zeros((8, 3), np.uint8), owner=4)
     scene = Scene([surface])
     hits = scene.cast(np.array([[0.1, 0.2, 3.0]]), np.array([[0, 0, -1.0]]))
     assert hits.distance_m == pytest.approx([2.5])
     assert hits.owners.tolist() == [4]
-    with pytest.raises(InputError, match=r"pip install 'hickory-stream\[evaluation\]'"):
+    with pytest.raises(InputError, match="pip install --upgrade hickory-stream"):
         scene.nearest(np.zeros((1, 3)))
     with pytest.raises(InputError, match="Open3D"):
         import_open3d()
+
+
+def test_measuring_loads_no_viewer_of_open3d():
+    # Nor does reading KISS-ICP's name load it.
+    program = """
+import sys, trimesh
+from hickory_stream.cli import main
+from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.poses import choose
+box = trimesh.creation.box((1, 1, 1))
+scene = Scene([Surface(vertices=box.vertices, faces=box.faces, colors=0 * box.vertices.astype("u1"), owner=4)])
+before = sys.modules.keys() & {"open3d.pybind", "kiss_icp"}
+print(scene.nearest([[0, 0, 1]]))
+print(*before, *(sys.modules.keys() & {"open3d", "dash", "flask", "plotly", "IPython", "ipywidgets", "kiss_icp"}))
+print("open3d.pybind" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[1:] == ["", "True"]

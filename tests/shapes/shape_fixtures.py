@@ -1,15 +1,15 @@
 """Objects with a known shape, and what cameras see of them: the ground truth of the tests of layers 2 to 4."""
 
-import ctypes
 from typing import Any
-import libusb_package
 import numpy as np
 import trimesh
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
+from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.ports import Crop, ShapeInputs
 from tools.evaluation.shapes.meshes import MESH_NAMES, test_mesh
 
@@ -26,13 +26,6 @@ def as_mesh(shape: trimesh.Trimesh) -> Mesh:
     )
 
 
-def open3d_module() -> Any:
-    ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    import open3d
-
-    return open3d
-
-
 def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
     forward = (target - eye) / np.linalg.norm(target - eye)
@@ -45,7 +38,7 @@ def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
-    o3d = open3d_module()
+    o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     for mesh in meshes:
         scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
@@ -54,7 +47,7 @@ def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
 
 def cast_view(scene: Any, camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth along the axis (inf where nothing is hit) and the index of the mesh hit."""
-    o3d = open3d_module()
+    o3d = import_open3d()
     pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
     directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
     origins = np.broadcast_to(world_from_camera[:3, 3].astype(np.float32), directions.shape)
@@ -138,7 +131,7 @@ def solid_of_parts(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def inside(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    o3d = open3d_module()
+    o3d = import_open3d()
     scene = ray_scene([shape])
     return scene.compute_occupancy(o3d.core.Tensor(np.ascontiguousarray(points, np.float32)), nsamples=3).numpy() > 0.5
 
@@ -148,7 +141,7 @@ def shaded(
 ) -> np.ndarray:
     """Return an (H, W, 3) picture of (vertices, faces, face colours), lit from the camera."""
     scene = ray_scene([trimesh.Trimesh(v, f, process=False) for v, f, _ in meshes])
-    o3d = open3d_module()
+    o3d = import_open3d()
     pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
     directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -163,3 +156,55 @@ def shaded(
         light = np.where(facing[here] > 0, 0.35 + 0.65 * facing[here], 0.1)
         picture[here] = face_colors[faces[here]] * light[:, None]
     return picture.clip(0, 255).astype(np.uint8)
+
+
+def tangent_distance(row: np.ndarray, point: np.ndarray, depth: float) -> float:
+    """Return the distance of one point to a tangent plane of a primitive (`tangent_planes`), in plain Python."""
+    e1, e2, log_a, log_b, log_c = row[:5].tolist()
+    dx, dy, dz = (np.asarray(point) - row[5:8]).tolist()
+    r = row[8:17].tolist()
+    local = (r[i] * dx + r[3 + i] * dy + r[6 + i] * dz for i in range(3))
+    px, py, pz = (along if abs(along) > 1e-6 else 1e-6 for along in local)
+    log_x, log_y, log_z = log(abs(px)) - log_a, log(abs(py)) - log_b, log(abs(pz)) - log_c
+    log_rho, share_x, share_y = _softmax(log_x, log_y, e2)
+    log_h, share_r, share_z = _softmax(log_rho, log_z, e1)
+    slope = _length(share_r * share_x / px, share_r * share_y / py, share_z / pz)
+    if log_h >= 0.0:
+        return (1.0 - exp(-log_h)) / slope
+    h = max(exp(log_h), 1e-200)
+    smallest = exp(min(log_a, log_b, log_c)) * (1.0 if e1 <= 1.0 and e2 <= 1.0 else 0.57735)
+    if (1.0 - h) * smallest > depth:
+        return -(1.0 - h) * smallest
+    best = (1.0 / h - 1.0) / slope
+    # The surface along each axis, and the shares there.
+    whole = exp(2.0 / e1 * log_h)
+    in_plane, along_z = share_r * whole, share_z * whole
+    rest_z, rest_r = max(1.0 - in_plane, 1e-300), max(1.0 - along_z, 1e-300)
+    log_most = 0.5 * e1 * log(rest_r)
+    own = exp(min(2.0 / e2 * (log_rho - log_most), 0.0))
+    rest_x, rest_y = max(1.0 - share_y * own, 1e-300), max(1.0 - share_x * own, 1e-300)
+    ways = [
+        (exp(log_c + 0.5 * e1 * log(rest_z)) - abs(pz), 2, (share_x, share_y, in_plane, rest_z)),
+        (exp(log_a + log_most + 0.5 * e2 * log(rest_x)) - abs(px), 0, (rest_x, 1.0 - rest_x, rest_r, along_z)),
+        (exp(log_b + log_most + 0.5 * e2 * log(rest_y)) - abs(py), 1, (1.0 - rest_y, rest_y, rest_r, along_z)),
+    ]
+    reach, axis, (foot_x, foot_y, foot_r, foot_z) = min(ways, key=lambda way: way[0])
+    reach = max(reach, 0.0)
+    foot = [px, py, pz]
+    foot[axis] += reach if foot[axis] > 0.0 else -reach
+    gradient = (foot_r * foot_x / foot[0], foot_r * foot_y / foot[1], foot_z / foot[2])
+    planar = reach * abs(gradient[axis]) / _length(*gradient)
+    return -planar if reach < best * 4.0 and planar < best else -best
+
+
+def _softmax(log_a: float, log_b: float, exponent: float) -> tuple[float, float, float]:
+    # ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum.
+    gap = 2.0 / exponent * (log_b - log_a)
+    small = exp(-abs(gap))
+    large = 1.0 / (1.0 + small)
+    log_sum = max(log_a, log_b) + 0.5 * exponent * log(1.0 + small)
+    return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
+
+
+def _length(x: float, y: float, z: float) -> float:
+    return float(np.sqrt(x * x + y * y + z * z))

@@ -2,7 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
-from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
+from hickory_stream.shapes.fit.quadric_lm import row_of
+from tests.shapes.shape_fixtures import tangent_distance
 from tests.strategies import rotations
 
 _LOW, _HIGH = np.array([-9, -9, -9]), np.array([10, 10, 10])
@@ -11,7 +12,6 @@ _LOW, _HIGH = np.array([-9, -9, -9]), np.array([10, 10, 10])
 def occupancies_one_by_one(row: np.ndarray) -> np.ndarray:
     """Return the same cell by cell: what follows a cell far away is as it is."""
     body = body_of(row)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     out = np.empty(_HIGH - _LOW, np.float32)
     for i, j in np.ndindex(*out.shape[:2]):
         k = 0
@@ -19,7 +19,7 @@ def occupancies_one_by_one(row: np.ndarray) -> np.ndarray:
             x, y, z = np.array([i, j, k]) + _LOW
             d = distance_bound(body, x, y, z)
             if abs(d) <= 0.5:
-                d = max(tangent_distance(row, x, y, z, local, gradient, shape, False, 0.5), -0.5)
+                d = max(tangent_distance(row, np.array([x, y, z]), 0.5), -0.5)
             end = k + 1 + int(max(abs(d) - 0.5, 0.0))
             out[i, j, k:end] = occupancy(d)
             k = end

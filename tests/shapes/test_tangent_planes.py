@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
+from hickory_stream.shapes.fit.quadric_lm import row_of
 from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
     DISTANCE,
@@ -17,6 +17,7 @@ from hickory_stream.shapes.fit.tangent_planes import (
     quick_exp,
     quick_log,
 )
+from tests.shapes.shape_fixtures import tangent_distance
 from tests.strategies import rotations
 
 
@@ -38,8 +39,7 @@ def row_with(e1: float, e2: float, rotation: np.ndarray) -> np.ndarray:
 def test_distances_of_many_points_are_those_of_each(e1, e2, rotation, count):
     row = row_with(e1, e2, rotation)
     points = np.random.default_rng(count).uniform(-16, 16, (count, 3))
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    wanted = [tangent_distance(row, *point, local, gradient, shape, False, np.inf) for point in points]
+    wanted = [tangent_distance(row, point, np.inf) for point in points]
     np.testing.assert_allclose(distances_of(row, points, np.inf), wanted, rtol=1e-9, atol=1e-9)
 
 

@@ -2,7 +2,7 @@ import dataclasses
 import numpy as np
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, NUM_INPUTS, ZERO
-from tools.network_training.compare import Shown, painted, picture, scored
+from tools.network_training.compare import Shown, scored
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, TrueFrame, frames_of_scene
 from tools.network_training.lessons import UNKNOWN, lesson_of
 
@@ -85,14 +85,6 @@ def test_masks_are_scored_against_what_pixels_show():
     score = scored((frame.instances == 7).astype(np.int32), shown)
     assert (score.num_things, score.num_right, score.num_masks) == (1, 1, 1)
     assert scored(np.zeros_like(frame.instances), shown).num_right == 0
-
-
-def test_a_picture_shows_frame_truth_and_every_method():
-    frame = true_frame()
-    shown = Shown(name="panel", frame=_as_seen(frame), prior=None, truth=frame.instances)
-    image = picture(shown, {"one": frame.instances, "other": frame.instances}, width_px=160)
-    assert image.shape == (120, 4 * 160, 3)
-    np.testing.assert_array_equal(painted(frame.rgb, frame.instances)[200, 200], [45, 45, 45])
 
 
 def _as_seen(frame: TrueFrame):

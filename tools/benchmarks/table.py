@@ -67,6 +67,10 @@ BENCHMARKS = {
     "live": Benchmark("live.robots", "robots over every live route: losses, latency, safety", MAPS),
     "engine": Benchmark("scale.engine", "determinism, kills, stops, live overload, hours of playback"),
     "scale": Benchmark("scale.scale", "large maps and alignments, real time by stage, a batch, a building"),
+    "first_hour": Benchmark(
+        "first_hour", "clone to picture, wheel to demo, set-up and tests, each with empty caches",
+        (*MAPS, "requirements.lock"),
+    ),
     "headline": Benchmark("headline", "the rows of the main README's table, in 45 minutes; continues where it stopped"),
 }  # fmt: skip
 

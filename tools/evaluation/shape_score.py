@@ -2,8 +2,6 @@
 # The paper compares the k-th primitives, whose order and parameters are no invariants. Here primitives are matched one
 # to one for the highest score, over all orders of axes; volume without a partner counts as 0.
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -16,47 +14,17 @@ def shape_score(a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0) -
     """Return s_geo of Eq. (sgeo) over the best one-to-one matching, in 0..1; 0 where either has no primitive."""
     # Symmetric in `a` and `b`; independent of their poses, of the order of their primitives and of equal
     # parameterisations. A matched pair weighs the smaller of its two shares of volume.
-    return _matched(_features(a), _features(b), sigma_geo)
-
-
-def shape_scores(
-    first: Sequence[Superquadrics], second: Sequence[Superquadrics], *, sigma_geo: float = 1.0
-) -> NDArray[np.float64]:
-    """Return the (A, B) `shape_score` of every object of `first` with every one of `second`."""
-    features_a, features_b = [_features(a) for a in first], [_features(b) for b in second]
-    scores = [[_matched(a, b, sigma_geo) for b in features_b] for a in features_a]
-    return np.array(scores, dtype=np.float64).reshape(len(features_a), len(features_b))
-
-
-def literal_shape_score(
-    a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0, count: int | None = None
-) -> float:
-    """Return Eq. (sgeo) as it is written: the k-th primitive with the k-th, weights from `a`, for comparison."""
-    # `count` is K; by default that of the object with fewer primitives.
-    k = min(len(a), len(b)) if count is None else min(count, len(a), len(b))
-    if k == 0:
+    if len(a) == 0 or len(b) == 0:
         return 0.0
-    volumes = volumes_m3(a)
-    exponents = np.abs(a.exponents[:k] - b.exponents[:k]).sum(axis=1)
-    return float(volumes[:k] / volumes.sum() @ (np.exp(-exponents / sigma_geo) * _ratios(a, b, k)))
-
-
-def _ratios(a: Superquadrics, b: Superquadrics, k: int) -> NDArray[np.float64]:
-    axes_a, axes_b = a.semi_axes_m[:k], b.semi_axes_m[:k]
-    return np.asarray((np.minimum(axes_a, axes_b) / np.maximum(axes_a, axes_b)).mean(axis=1))
+    one, other = _features(a), _features(b)
+    weighted = _pair_scores(one, other, sigma_geo) * np.minimum(one[:, None, 5], other[None, :, 5])
+    rows, columns = linear_sum_assignment(weighted, maximize=True)
+    return float(min(weighted[rows, columns].sum(), 1.0))
 
 
 def _features(primitives: Superquadrics) -> NDArray[np.float64]:
     volumes = volumes_m3(primitives)
     return np.column_stack([primitives.exponents, primitives.semi_axes_m, volumes / max(volumes.sum(), 1e-300)])
-
-
-def _matched(a: NDArray[np.float64], b: NDArray[np.float64], sigma_geo: float) -> float:
-    if len(a) == 0 or len(b) == 0:
-        return 0.0
-    weighted = _pair_scores(a, b, sigma_geo) * np.minimum(a[:, None, 5], b[None, :, 5])
-    rows, columns = linear_sum_assignment(weighted, maximize=True)
-    return float(min(weighted[rows, columns].sum(), 1.0))
 
 
 @kernel

@@ -8,11 +8,10 @@ the truth would make of the same fragments, `network-joins` of those that the ne
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,7 +60,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--clouds", type=Path, help="folder of labelled clouds; by default beside that of the worlds")
     parser.add_argument("--frames", type=Path, help="folder of rendered frames, as of tools/train_network")
     parser.add_argument("--network", type=Path, help="a graph other than that of the package")
-    parser.add_argument("--pictures", type=Path, help="folder for a picture of each frame and its masks")
     options = parser.parse_args(arguments)
     ways = ways_of(PixelNetwork(options.network))
     ways = {name: ways[name] for name in options.ways or ways}
@@ -69,15 +67,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scores: dict[str, list[MaskScore]] = {way: [] for way in ways}
         spent_s = dict.fromkeys(ways, 0.0)
         for shown in _frames_of_set(name, options):
-            masks = {}
             for way, segment in ways.items():
                 started_s = time.process_time()
-                masks[way] = segment(shown)
+                masks = segment(shown)
                 spent_s[way] += time.process_time() - started_s
-                scores[way].append(scored(masks[way], shown))
-            if options.pictures is not None:
-                options.pictures.mkdir(parents=True, exist_ok=True)
-                cv2.imwrite(str(options.pictures / f"{shown.name}.png"), picture(shown, masks)[..., ::-1])
+                scores[way].append(scored(masks, shown))
         for way, of_frames in scores.items():
             each_ms = 1e3 * spent_s[way] / max(len(of_frames), 1)
             print(f"{told(f'{name}, {way}', of_frames)}, {each_ms:.0f} ms a frame", flush=True)
@@ -166,27 +160,6 @@ def told(name: str, scores: Sequence[MaskScore]) -> str:
         f"{name:34s} F1 {score.f1:.3f}  precision {precision:.3f}  recall {recall:.3f}  best IoU {score.best_iou:.3f}  "
         f"found {score.found_fraction:.3f}  ({score.num_right} of {score.num_things} things, {score.num_masks} masks)"
     )
-
-
-def picture(shown: Shown, masks: Mapping[str, NDArray[np.int32]], width_px: int = 480) -> NDArray[np.uint8]:
-    """Return a row of pictures (h, w, 3): the frame, the truth, and the masks of each way."""
-    truth = np.where(shown.truth > 0, shown.truth, 0)
-    images = [np.asarray(shown.frame.rgb), *(painted(shown.frame.rgb, m) for m in (truth, *masks.values()))]
-    height_px = round(width_px * images[0].shape[0] / images[0].shape[1])
-    row = []
-    for name, image in zip(("frame", "truth", *masks), images, strict=True):
-        small = np.ascontiguousarray(cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_NEAREST))
-        cv2.putText(small, name, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1)
-        row.append(small)
-    return np.hstack(row)
-
-
-def painted(rgb: NDArray[np.uint8], masks: NDArray[np.int32]) -> NDArray[np.uint8]:
-    colors = np.random.default_rng(3).integers(60, 256, (int(masks.max(initial=0)) + 1, 3))
-    colors[0] = 0
-    grey = np.asarray(rgb).mean(axis=2, keepdims=True)
-    mixed = np.where((masks > 0)[..., None], 0.35 * grey + 0.65 * colors[masks], 0.5 * grey)
-    return np.asarray(mixed.astype(np.uint8))
 
 
 if __name__ == "__main__":

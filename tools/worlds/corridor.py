@@ -9,7 +9,6 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, inve
 from hickory_stream.records import Scan
 
 _HEIGHT_M, _SENSOR_M = 2.5, 0.6
-_FRAME_WIDE_M, _FRAME_DEEP_M = 0.12, 0.08
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -18,8 +17,6 @@ class CorridorConfig:
 
     length_m: float = 30.0
     width_m: float = 2.0
-    #: Door frames in the walls; 0: none.
-    frames_every_m: float = 0.0
     #: From the box's end to the start of the walk.
     margin_m: float = 6.0
     way_m: float = 18.0
@@ -79,24 +76,4 @@ def _ranges(origin: NDArray[np.float64], rays: NDArray[np.float64], config: Corr
     high = np.array([config.length_m, config.width_m / 2, _HEIGHT_M])
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.where(rays > 0, (high - origin) / rays, np.where(rays < 0, (low - origin) / rays, np.inf))
-    ranges = ends.min(axis=1)
-    if config.frames_every_m <= 0:
-        return ranges
-    for x in np.arange(config.frames_every_m / 2, config.length_m, config.frames_every_m):
-        for side in (-1.0, 1.0):
-            inner = side * (config.width_m / 2 - _FRAME_DEEP_M)
-            corner = np.array([[x, min(inner, side * config.width_m / 2), 0.0]])
-            size = np.array([_FRAME_WIDE_M, _FRAME_DEEP_M, 2.1])
-            ranges = np.minimum(ranges, _box_ranges(origin, rays, corner[0], corner[0] + size))
-    return ranges
-
-
-def _box_ranges(
-    origin: NDArray[np.float64], rays: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    # Where the rays (N, 3) enter a box from outside, inf if they miss it (slab method).
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = (low - origin) / rays, (high - origin) / rays
-    near = np.nanmax(np.minimum(first, second), axis=1)
-    far = np.nanmin(np.maximum(first, second), axis=1)
-    return np.where((near > 0) & (near <= far), near, np.inf)
+    return ends.min(axis=1)

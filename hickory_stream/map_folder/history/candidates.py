@@ -1,10 +1,9 @@
 """What became of the candidates of a run: every track that it began is in the map, was merged, or was dropped."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.reader import Journal
@@ -12,10 +11,6 @@ from hickory_stream.journal.step import StepKind
 from hickory_stream.map_folder.history.registration_history import steps_behind
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.map_folder.manifest import read_json
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
 
 _PLAIN = {
     "never confirmed": "seen too seldom, or from one side only",

@@ -28,14 +28,12 @@ _POINTS, _SPACE = ("points_world", "colors"), ("free", "structure")
 _REST = tuple(f.name for f in fields(TrackedObject) if f.name not in ("id", *_POINTS))
 
 
-def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig]) -> MapSnapshot | None:
-    """Return the map after a step, None for an older journal without records; `config` is called before a replay.
+def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig]) -> MapSnapshot:
+    """Return the map after a step; `config` is called before a replay.
 
     Raises `MapFolderError`: the journal is damaged; also later, on first use of a record.
     """
     known = journal.known(index)
-    if known is None:
-        return None
     records = _Records(journal, index, config)
     return MapSnapshot(
         revision=known.revision,

@@ -3,22 +3,16 @@
 A robot avoids everything seen, sure or not: beside the map is the surface that keyframes saw.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.events import FrameObserved
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import recorded_config
 from hickory_stream.map_folder.history.time_travel import step_at
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.navigation.stand_ins import SeenSurface
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 
 def is_live(saved: SavedMap) -> bool:

@@ -1,33 +1,22 @@
-"""Observations and decisions of a run, keyframe by keyframe, from its journal.
+"""Observations and decisions of a run, keyframe by keyframe, from its journal."""
 
-Decisions of an older journal without them are those of a replay by this version.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import FramePose, JournalEntry, Step, StepKind, Told
+from hickory_stream.journal.step import FramePose, Step, StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.records import Decision, MapSnapshot
+from hickory_stream.records import Decision, MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -65,7 +54,8 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
     """
     places = {submap.id: submap.world_from_submap for submap in final.submaps}
     with Journal(path) as journal:
-        for entry, decided in _decided(journal, known_config(path).mapping):
+        for entry in journal.entries():
+            told = entry.told or Told(decisions=(), submap_id=0)
             observed = next((event for event in entry.events if isinstance(event, FrameObserved)), None)
             keyframe: RecordedKeyframe | None = None
             if observed is not None and entry.step.kind is StepKind.KEYFRAME:
@@ -73,9 +63,9 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
                     number=entry.step.num_keyframes - 1,
                     camera=entry.step.camera,
                     observed=observed,
-                    map_from_odometry=places.get(decided.submap_id, np.eye(4)),
+                    map_from_odometry=places.get(told.submap_id, np.eye(4)),
                 )
-            yield RecordedStep(step=entry.step, keyframe=keyframe, decisions=decided.decisions)
+            yield RecordedStep(step=entry.step, keyframe=keyframe, decisions=told.decisions)
 
 
 def final_snapshot(path: Path) -> MapSnapshot:
@@ -147,23 +137,3 @@ def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
                 if pose.index == frame:
                     return step.camera, pose
     raise LookupError(f"no frame {frame}")
-
-
-def _decided(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
-    # From the first step without decisions on, they are those of a replay.
-    first = 0
-    for entry in journal.entries():
-        if entry.told is None and entry.step.kind is StepKind.KEYFRAME:
-            break
-        yield entry, entry.told or Told(decisions=(), submap_id=0)
-        first += 1
-    if first == len(journal):
-        return
-    replay = Replay(journal, config)
-    if first > 0:
-        replay.seek(first - 1)
-    for replayed in replay.steps(len(journal)):
-        told = Told(decisions=(), submap_id=0)
-        if (published := replayed.published) is not None:
-            told = Told(decisions=published.decisions, submap_id=published.snapshot.submaps[-1].id)
-        yield replayed.entry, told

@@ -4,13 +4,12 @@ A playback continues after its last complete step, to the same map as an uninter
 gone, or a run with seeks is saved as of its last step.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.base.confined import OutsideError, whole_number
+from hickory_stream.config import MapperConfig
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
@@ -21,15 +20,10 @@ from hickory_stream.map_folder.history.recorded_config import recorded_config
 from hickory_stream.map_folder.history.registration_history import RegistrationHistory, registration_history
 from hickory_stream.map_folder.manifest import Manifest, read_manifest
 from hickory_stream.map_folder.writer import MapFolder, reopen_map_folder
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.rules.keyframes import Keyframe
 from hickory_stream.poses.keyframe_registration import NUM_RECENT
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.records import SourceInfo
+from hickory_stream.records import SourceInfo
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,7 +13,6 @@ import numpy as np
 
 from hickory_stream.errors import InputError
 from hickory_stream.journal.reader import Journal
-from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.known_map import known_map
 from hickory_stream.map_folder.manifest import read_manifest
 from hickory_stream.records import MapSnapshot, PoseGraphRecord, TrackedObject
@@ -58,12 +57,7 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
     if index is None:
         return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
     read_manifest(path)
-    known = known_map(journal, index, lambda: _config_of(path).mapping)
-    if known is not None:
-        return known
-    replay = Replay(journal, _config_of(path).mapping, reads_later=True)
-    replay.seek(index)
-    return replay.snapshot()
+    return known_map(journal, index, lambda: _config_of(path).mapping)
 
 
 def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:

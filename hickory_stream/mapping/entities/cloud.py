@@ -210,8 +210,13 @@ def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
 
 def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
     """Return the cloud without the marked voxels."""
-    keys, points, colors, hits = _without(cloud.keys, cloud.points, cloud.colors, cloud.hits, drop)
-    return Cloud(keys=keys, points=points, colors=colors, hits=hits)
+    kept = np.flatnonzero(~drop)
+    return Cloud(
+        keys=cloud.keys[kept],
+        points=cloud.points.take(kept, axis=0),
+        colors=cloud.colors.take(kept, axis=0),
+        hits=cloud.hits[kept],
+    )
 
 
 def solid_part(cloud: Cloud, sightings: int) -> Cloud:
@@ -278,20 +283,3 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
         j += takes_b
         n += 1
     return keys[:n].copy(), points[:n].copy(), colors[:n].copy(), hits[:n].copy()
-
-
-@kernel
-def _without(keys, points, colors, hits, drop):
-    count = 0
-    for i in range(len(drop)):
-        count += not drop[i]
-    kept_keys, kept_hits = np.empty(count, dtype=keys.dtype), np.empty(count, dtype=hits.dtype)
-    kept_points, kept_colors = np.empty((count, 3), dtype=points.dtype), np.empty((count, 3), dtype=colors.dtype)
-    n = 0
-    for i in range(len(drop)):
-        if not drop[i]:
-            kept_keys[n], kept_hits[n] = keys[i], hits[i]
-            for k in range(3):
-                kept_points[n, k], kept_colors[n, k] = points[i, k], colors[i, k]
-            n += 1
-    return kept_keys, kept_points, kept_colors, kept_hits

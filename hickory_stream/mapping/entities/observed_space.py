@@ -23,8 +23,8 @@ from hickory_stream.geometry.voxels import (
     difference,
     exchanged,
     first_not_below,
-    key_of_point,
     keys_of_cells,
+    keys_of_points,
     rows_of_keys,
     sorted_unique,
     union,
@@ -351,35 +351,17 @@ def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uin
 
 
 def _votes_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    out: NDArray[np.uint8] = _hits_at(state.surface, state.hits, state.misses, keys)
-    return out
-
-
-@kernel
-def _hits_at(surface, hits, misses, keys):
-    out = np.zeros(len(keys), dtype=np.uint8)
-    at = 0
-    for i in range(len(keys)):
-        at = first_not_below(surface, keys[i], at)
-        if at < len(surface) and surface[at] == keys[i] and hits[at] > misses[at]:
-            out[i] = hits[at]
+    sure = np.flatnonzero(state.hits > state.misses)
+    surface, out = state.surface[sure], np.zeros(len(keys), dtype=np.uint8)
+    found = np.flatnonzero(contains(surface, keys))
+    out[found] = state.hits[sure[np.searchsorted(surface, keys[found])]]
     return out
 
 
 def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
     """Return the share of (N, 3) points in voxels of sorted keys, from a sample of about 200."""
-    return float(_share_in(keys, points, max(1, len(points) // 200), voxel_m))
-
-
-@kernel
-def _share_in(sorted_keys, points, step, voxel_m):
-    count, num_in, at = 0, 0, 0
-    for i in range(0, len(points), step):
-        key = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
-        at = first_not_below(sorted_keys, key, at)
-        num_in += at < len(sorted_keys) and sorted_keys[at] == key
-        count += 1
-    return num_in / count
+    sample = points[:: max(1, len(points) // 200)]
+    return np.count_nonzero(contains(keys, keys_of_points(sample, voxel_m))) / len(sample)
 
 
 def is_flush(state: SpaceState, box: OrientedBox) -> bool:

@@ -109,12 +109,9 @@ def surface_points(coarse: CoarseFrame, world_from_camera: NDArray[np.float64], 
     """Return the surfaces of a keyframe's low-resolution depth up to a range, in the odometry's frame.
 
     A normal comes from the triangle of a cell and the cells two to the right and two below; a point without one is left
-    out. Keyframes of older journals, without a camera, have no points.
+    out.
     """
     camera = coarse.camera
-    if camera is None:
-        none = np.empty((0, 3), dtype=np.float32)
-        return SurfacePoints(points=none, normals=none)
     left, top = (min(coarse.stride_px // 2, side - 1) for side in (camera.width, camera.height))
     here, unit = _facets(
         coarse.depth_mm,

@@ -31,7 +31,10 @@ def pixel_inputs(surface: Surface, floor_z_m: float | None) -> NDArray[np.uint8]
     height, width = surface.depth_m.shape
     padded = [-(-side // MULTIPLE_PX) * MULTIPLE_PX for side in (height, width)]
     out = np.full((NUM_INPUTS, *padded), ZERO, dtype=np.uint8)
-    arrays = (surface.depth_m, surface.points_world, surface.normals_world, surface.sigma_m)
+    # Beyond the image there is no return either.
+    inverses = np.pad(np.float32(1) / surface.depth_m, 4, constant_values=np.nan)
+    stiffness = surface.depth_m * surface.depth_m / surface.sigma_m
+    arrays = (surface.depth_m, surface.points_world, surface.normals_world, inverses, stiffness)
     focal_px = np.float32((surface.camera.fx + surface.camera.fy) / 2)
     floor_z = np.float32(np.nan if floor_z_m is None else floor_z_m)
     _geometry(*arrays, _heading(surface.world_from_camera), focal_px, floor_z, out)
@@ -66,16 +69,9 @@ def _bends(one, other, own, stiffness, out):
 
 
 @kernel(error_model="numpy")
-def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):
+def _geometry(depth, points, normals, inverses, stiffness, heading, focal_px, floor_z_m, out):
     height, width = depth.shape
     one = np.float32(1.0)
-    # Beyond the image there is no return either.
-    inverses = np.full((height + 8, width + 8), np.float32(np.nan), dtype=np.float32)
-    stiffness = np.empty((height, width), dtype=np.float32)
-    for y in range(height):
-        for x in range(width):
-            z = depth[y, x]
-            inverses[y + 4, x + 4], stiffness[y, x] = one / z, z * z / sigma[y, x]
     for y in range(height):
         own, rows = inverses[y + 4, 4 : 4 + width], inverses[y + 4]
         for channel in range(2):

@@ -64,8 +64,11 @@ def _pieces(mask: NDArray[np.bool_], lab: NDArray[np.float32], depth: int) -> li
 def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     side = (_WINDOW_PX, _WINDOW_PX)
     share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
-    total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
-    colors, centered, spread = _window_colors(total, share, mask)
+    total = cv2.blur(cv2.copyTo(lab, mask.view(np.uint8)), side, borderType=cv2.BORDER_CONSTANT)
+    count = np.count_nonzero(mask)
+    colors, centered, spread = np.empty((count, 3), np.float32), np.empty((count, 3)), np.zeros((3, 3))
+    _window_colors(total, share, mask, colors, centered, spread)
+    spread /= count
     variances, axes = portable.eigh(spread)
     # Two means at the minimum distance cause at least this variance: with less, the split can be skipped early.
     if variances[2] < 0.02 * _MIN_STEP * _MIN_STEP:
@@ -73,8 +76,9 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np
     along = portable.matmul(centered, axes[:, 2])
     threshold, separation = _otsu(along)
     high = along > threshold
-    step = portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0))
-    if separation < _MIN_SEPARATION or step < _MIN_STEP:
+    if separation < _MIN_SEPARATION:
+        return None
+    if portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0)) < _MIN_STEP:
         return None
     out = np.zeros(mask.shape, dtype=bool)
     out[mask] = high
@@ -82,25 +86,9 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np
 
 
 @kernel
-def _within(lab, mask):
-    # (h, w, 3) the colours within a mask, 0 elsewhere.
-    out = np.zeros(lab.shape, dtype=np.float32)
-    for y in range(mask.shape[0]):
-        for x in range(mask.shape[1]):
-            if mask[y, x]:
-                for k in range(3):
-                    out[y, x, k] = lab[y, x, k]
-    return out
-
-
-@kernel
-def _window_colors(total, share, mask):
-    # (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) the covariance.
-    count = 0
-    for y in range(mask.shape[0]):
-        for x in range(mask.shape[1]):
-            count += mask[y, x]
-    colors, mean = np.empty((count, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
+def _window_colors(total, share, mask, colors, centered, spread):
+    # (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) their products.
+    mean = np.zeros(3, dtype=np.float32)
     n = 0
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -109,16 +97,14 @@ def _window_colors(total, share, mask):
                     colors[n, k] = total[y, x, k] / share[y, x]
                     mean[k] += colors[n, k]
                 n += 1
-    centered, spread = np.empty((count, 3)), np.zeros((3, 3))
     for k in range(3):
-        mean[k] /= np.float32(count)
-    for i in range(count):
+        mean[k] /= np.float32(n)
+    for i in range(n):
         for k in range(3):
             centered[i, k] = colors[i, k] - mean[k]
         for j in range(3):
             for k in range(3):
                 spread[j, k] += centered[i, j] * centered[i, k]
-    return colors, centered, spread / count
 
 
 _OTSU_BINS = 48

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import cos
-from hickory_stream.perception.fragments.union_find import find_root
 from hickory_stream.perception.structure.room_structure import RoomStructure
 from hickory_stream.perception.surface import Surface
 
 # Minimum depth edge: distance of a pixel from its neighbour's tangent plane, plus 3 sigma.
-_STEP_M = 0.008
+_STEP_M = np.float32(0.008)
 # Neighbours whose depths differ by more than this share are separate whatever their planes.
-_GAP_SHARE = 0.025
+_GAP_SHARE = np.float32(0.025)
 # Minimum angle of a concave crease; normals are compared across twice this many pixels.
 _CREASE_RAD = 0.45
 _CREASE_REACH_PX = 2
@@ -69,31 +68,19 @@ def _label_level(points, normals, slack, z_m, min_pixels, label, labels):
 
 def concave_creases(surface: Surface, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return (h, w) the pixels on a concave crease, outside of structure."""
-    limits = (_CREASE_REACH_PX, np.float32(cos(_CREASE_RAD)), np.float32(_STEP_M))
-    return _creases(surface.points_world, surface.normals_world, surface.sigma_m, structure, *limits)
-
-
-def fragments_of(
-    surface: Surface,
-    structure: NDArray[np.bool_],
-    supports: NDArray[np.int32],
-    creases: NDArray[np.bool_],
-) -> NDArray[np.int32]:
-    """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no depth."""
-    arrays = (surface.depth_m, surface.points_world, surface.normals_world, surface.sigma_m)
-    limits = (np.float32(_STEP_M), np.float32(_GAP_SHARE))
-    labels = _join(*arrays, structure, supports, creases, *limits)
-    usable = ~structure & np.isfinite(surface.depth_m)
-    return _grow_into(labels, usable, surface.depth_m, supports, _MIN_PIXELS)
+    out = np.zeros(structure.shape, dtype=bool)
+    is_open, cosine = ~structure & ~np.isnan(surface.sigma_m), np.float32(cos(_CREASE_RAD))
+    _mark_creases(surface.points_world, surface.normals_world, surface.sigma_m, is_open, cosine, out)
+    return out
 
 
 @kernel
-def _creases(points, normals, sigma, structure, reach, cos_crease, step):
+def _mark_creases(points, normals, sigma, is_open, cos_crease, out):
     height, width = sigma.shape
-    out = np.zeros((height, width), dtype=np.bool_)
+    reach = _CREASE_REACH_PX
     for y in range(height):
         for x in range(width):
-            if np.isnan(sigma[y, x]) or structure[y, x]:
+            if not is_open[y, x]:
                 continue
             for direction in range(4):
                 dx = reach if direction == 0 else (0 if direction == 1 else reach)
@@ -114,109 +101,102 @@ def _creases(points, normals, sigma, structure, reach, cos_crease, step):
                 # Concave: the normals at both ends lean towards each other. The crease must be deeper than the noise.
                 lean_a = across_x * ax + across_y * ay + across_z * az
                 lean_b = -(across_x * bx + across_y * by + across_z * bz)
-                if lean_a + lean_b > 2.0 * sigma[y, x] + 0.15 * length and min(lean_a, lean_b) > -0.3 * step:
+                if lean_a + lean_b > 2.0 * sigma[y, x] + 0.15 * length and min(lean_a, lean_b) > -0.3 * _STEP_M:
                     out[y, x] = True
                     break
-    return out
+
+
+def fragments_of(
+    surface: Surface,
+    structure: NDArray[np.bool_],
+    supports: NDArray[np.int32],
+    creases: NDArray[np.bool_],
+) -> NDArray[np.int32]:
+    """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no depth."""
+    usable = ~structure & np.isfinite(surface.depth_m)
+    labels, parent = np.zeros(usable.shape, dtype=np.int32), np.arange(usable.size)
+    arrays = (surface.depth_m, surface.points_world, surface.normals_world, surface.sigma_m, supports)
+    _join(usable & ~creases, *arrays, parent, labels)
+    return _in_scan_order(_grown(labels, usable, surface.depth_m, supports))
 
 
 @kernel
-def _join(depth, points, normals, sigma, structure, supports, creases, step, gap_share):
+def _join(is_open, depth, points, normals, sigma, supports, parent, labels):
+    # Fills in `labels`; `parent` (h w,) is each pixel's own index.
     height, width = depth.shape
-    parent = np.arange(height * width)
     for y in range(height):
         for x in range(width):
-            if np.isnan(depth[y, x]) or structure[y, x] or creases[y, x]:
+            if not is_open[y, x]:
                 continue
             for side in range(2):
                 yy, xx = (y, x + 1) if side == 0 else (y + 1, x)
-                if yy >= height or xx >= width or np.isnan(depth[yy, xx]) or structure[yy, xx] or creases[yy, xx]:
+                # Whether objects on and below a plane are one is decided for whole fragments, in `join`.
+                if yy >= height or xx >= width or not is_open[yy, xx] or supports[y, x] != supports[yy, xx]:
                     continue
-                if _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):
-                    ra, rb = find_root(parent, y * width + x), find_root(parent, yy * width + xx)
-                    if ra != rb:
-                        parent[max(ra, rb)] = min(ra, rb)
-    labels = np.zeros((height, width), dtype=np.int32)
-    names = np.zeros(height * width, dtype=np.int32)
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            if np.isnan(depth[y, x]) or structure[y, x] or creases[y, x]:
-                continue
-            root = find_root(parent, y * width + x)
-            if names[root] == 0:
-                count += 1
-                names[root] = count
-            labels[y, x] = names[root]
-    return labels
-
-
-@kernel
-def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):
-    a, b = supports[y, x], supports[yy, xx]
-    if a != b:  # whether objects on and below a plane are one is decided for whole fragments, in `join`
-        return False
-    za, zb = depth[y, x], depth[yy, xx]
-    nearer = min(za, zb)
-    if abs(za - zb) < 0.5 * step + sigma[y, x]:
-        return True
-    if abs(za - zb) > gap_share * nearer + 3.0 * sigma[y, x]:
-        return False
-    d0, d1, d2 = (
-        points[yy, xx, 0] - points[y, x, 0],
-        points[yy, xx, 1] - points[y, x, 1],
-        points[yy, xx, 2] - points[y, x, 2],
-    )
-    out_a = abs(d0 * normals[y, x, 0] + d1 * normals[y, x, 1] + d2 * normals[y, x, 2])
-    out_b = abs(d0 * normals[yy, xx, 0] + d1 * normals[yy, xx, 1] + d2 * normals[yy, xx, 2])
-    limit = step + 2.0 * sigma[y, x]
-    # Comparisons with NaN normals are False: such pixels are joined by similar depth alone.
-    return out_a < limit or out_b < limit
-
-
-@kernel
-def _grow_into(labels, usable, depth, supports, min_pixels):
-    # Crease pixels and small fragments go to the neighbour of the most similar depth, ring by ring.
-    height, width = labels.shape
-    sizes = np.bincount(labels.ravel())
-    out = labels.copy()
-    for y in range(height):
-        for x in range(width):
-            if sizes[out[y, x]] < min_pixels:
-                out[y, x] = 0
-    for _ in range(4):
-        changed = False
-        before = out.copy()
-        for y in range(height):
-            for x in range(width):
-                if before[y, x] or not usable[y, x]:
-                    continue
-                best = 0.03 * depth[y, x] + 0.005
-                for side in range(4):
-                    yy = y + (1 if side == 0 else (-1 if side == 1 else 0))
-                    xx = x + (1 if side == 2 else (-1 if side == 3 else 0))
-                    if yy < 0 or xx < 0 or yy >= height or xx >= width or before[yy, xx] == 0:
+                away, noise = abs(depth[y, x] - depth[yy, xx]), sigma[y, x]
+                if away >= 0.5 * _STEP_M + noise:
+                    if away > _GAP_SHARE * min(depth[y, x], depth[yy, xx]) + 3.0 * noise:
                         continue
-                    difference = abs(depth[yy, xx] - depth[y, x])
-                    if supports[y, x] != supports[yy, xx]:
-                        difference += 0.01
-                    if difference < best:
-                        best = difference
-                        out[y, x] = before[yy, xx]
-                        changed = True
-        if not changed:
-            break
-    names = np.zeros(len(sizes), dtype=np.int32)
+                    off_a, off_b = np.float32(0.0), np.float32(0.0)
+                    for k in range(3):
+                        d = points[yy, xx, k] - points[y, x, k]
+                        off_a += d * normals[y, x, k]
+                        off_b += d * normals[yy, xx, k]
+                    # Comparisons with NaN normals are False: such pixels are joined by similar depth alone.
+                    limit = _STEP_M + 2.0 * noise
+                    if not (abs(off_a) < limit or abs(off_b) < limit):
+                        continue
+                a, b = y * width + x, yy * width + xx
+                while parent[a] != a:
+                    parent[a] = parent[parent[a]]
+                    a = parent[a]
+                while parent[b] != b:
+                    parent[b] = parent[parent[b]]
+                    b = parent[b]
+                parent[max(a, b)] = min(a, b)
+    # A parent comes before its children.
     count = 0
     for y in range(height):
         for x in range(width):
-            label = out[y, x]
-            if label:
-                if names[label] == 0:
+            if is_open[y, x]:
+                root = parent[y * width + x]
+                if root == y * width + x:
                     count += 1
-                    names[label] = count
-                out[y, x] = names[label]
-    return out
+                    labels[y, x] = count
+                else:
+                    labels[y, x] = labels[root // width, root % width]
+
+
+def _grown(
+    labels: NDArray[np.int32], usable: NDArray[np.bool_], depth: NDArray[np.float32], supports: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    # Crease pixels and small fragments go to the neighbour of the most similar depth, ring by ring.
+    small = np.where(np.bincount(labels.ravel())[labels] < _MIN_PIXELS, 0, labels)
+    out, depth, supports = (np.pad(own, 1).ravel() for own in (small, depth, supports))
+    height, width = labels.shape
+    waiting = np.flatnonzero(np.pad(usable & (small == 0), 1))
+    for _ in range(4):
+        best, chosen = 0.03 * depth[waiting].astype(np.float64) + 0.005, np.zeros(len(waiting), dtype=np.int32)
+        for beside in (waiting + width + 2, waiting - width - 2, waiting + 1, waiting - 1):
+            difference = np.abs(depth[beside] - depth[waiting]).astype(np.float64)
+            difference += np.where(supports[beside] == supports[waiting], 0.0, 0.01)
+            is_better = (out[beside] > 0) & (difference < best)
+            best, chosen = np.where(is_better, difference, best), np.where(is_better, out[beside], chosen)
+        out[waiting] = chosen
+        if not chosen.any():
+            break
+        waiting = waiting[chosen == 0]
+    return out.reshape(height + 2, width + 2)[1:-1, 1:-1]
+
+
+def _in_scan_order(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    # Numbered by their first pixels; 0 stays.
+    first = np.full(int(labels.max()) + 1, labels.size)
+    first[labels.ravel()[::-1]] = np.arange(labels.size)[::-1]
+    first[0] = -1
+    names = np.empty(len(first), dtype=np.int32)
+    names[np.argsort(first, kind="stable")] = np.arange(len(first))
+    return names[labels]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.surface import Surface
 
 
@@ -61,30 +60,21 @@ def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Co
     )
 
 
-@kernel
-def _contacts(scene, reach):
-    # (K, 3) int64: flat index, flat index of the next labelled pixel to the right or below, 1 if below.
+def _contacts(scene: NDArray[np.int32], reach: int) -> NDArray[np.int64]:
+    # (K, 3): flat index, flat index of the next labelled pixel to the right or below, 1 if below.
     height, width = scene.shape
-    out = np.empty((2 * height * width, 3), dtype=np.int64)
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            label = scene[y, x]
-            if label == 0:
-                continue
-            for side in range(2):
-                for k in range(1, reach + 1):
-                    yy, xx = (y, x + k) if side == 0 else (y + k, x)
-                    if yy >= height or xx >= width:
-                        break
-                    other = scene[yy, xx]
-                    if other == 0:
-                        continue
-                    if other != label:
-                        out[count, 0], out[count, 1], out[count, 2] = y * width + x, yy * width + xx, side
-                        count += 1
-                    break
-    return out[:count].copy()
+    # The distance to a pixel of another label, 0 for none, by pixel and direction.
+    found = np.zeros((height, width, 2), dtype=np.int8)
+    for side in range(2):
+        waits = scene > 0
+        for step in range(1, reach + 1):
+            here, there = (np.s_[:, :-step], np.s_[:, step:]) if side == 0 else (np.s_[:-step], np.s_[step:])
+            is_end = waits[here] & (scene[there] > 0)
+            found[..., side][here][is_end & (scene[there] != scene[here])] = step
+            waits[here] &= ~is_end
+    places = np.flatnonzero(found)
+    here_px, is_below = places // 2, places % 2
+    return np.stack([here_px, here_px + found.ravel()[places] * np.where(is_below, width, 1), is_below], axis=1)
 
 
 _FOOT_SHARE = 0.35
@@ -110,47 +100,22 @@ def support_contacts_of(
     The last label is room structure, the highest region. `heights_m` (h, w) count from any origin; `level` (h, w):
     pixels of surfaces that can support something.
     """
-    pairs = (contacts.here, contacts.there, contacts.here_px, contacts.there_px)
-    marks, edge = (contacts.is_below, contacts.touches, contacts.nearer), (contacts.cut, contacts.cut_px)
-    outline, free, on = _counted(pairs, marks, edge, pieces, heights_m.ravel(), level.ravel(), int(pieces[-1]))
-    return SupportContacts(outline=outline, free=free, on=on)
-
-
-@kernel
-def _counted(contacts, marks, edge, pieces, heights, level, count):
-    # A first pass finds the foot of each region, a second one counts it.
-    here_labels, there_labels, here_px, there_px = contacts
-    is_below, touches, nearer = marks
-    edge_labels, edge_px = edge
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    for i in range(len(here_labels)):
-        here = pieces[here_labels[i]]
-        if is_below[i] and here != pieces[there_labels[i]] and here < count:
-            z = np.float64(heights[here_px[i]])
-            low[here], high[here] = min(low[here], z), max(high[here], z)
-    for i in range(len(edge_labels)):
-        here = pieces[edge_labels[i]]
-        if here < count:
-            z = np.float64(heights[edge_px[i]])
-            low[here], high[here] = min(low[here], z), max(high[here], z)
-    foot = np.zeros(count)
-    for k in range(count):
-        if np.isfinite(low[k]):
-            foot[k] = (1 - _FOOT_SHARE) * low[k] + _FOOT_SHARE * high[k]
-    outline, free = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    on = np.zeros((count, count + 1), dtype=np.int64)
-    for i in range(len(here_labels)):
-        here, there = pieces[here_labels[i]], pieces[there_labels[i]]
-        if not (is_below[i] and here != there and here < count):
-            continue
-        if np.float64(heights[here_px[i]]) <= foot[here]:
-            outline[here] += 1
-            if touches[i]:
-                on[here, there] += level[there_px[i]]
-            elif not nearer[i]:
-                free[here] += 1
-    for i in range(len(edge_labels)):
-        here = pieces[edge_labels[i]]
-        if here < count and np.float64(heights[edge_px[i]]) <= foot[here]:
-            outline[here] += 1
-    return outline, free, on
+    count, heights = int(pieces[-1]), heights_m.ravel()
+    here, there, edge = pieces[contacts.here], pieces[contacts.there], pieces[contacts.cut]
+    below = np.flatnonzero(contacts.is_below & (here != there) & (here < count))
+    regions = np.concatenate([here[below], edge[edge < count]])
+    z_m = heights[np.concatenate([contacts.here_px[below], contacts.cut_px[edge < count]])].astype(np.float64)
+    low_m, high_m = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(low_m, regions, z_m)
+    np.maximum.at(high_m, regions, z_m)
+    is_foot = z_m <= (1 - _FOOT_SHARE) * low_m[regions] + _FOOT_SHARE * high_m[regions]
+    below = below[is_foot[: len(below)]]
+    touches = contacts.touches[below]
+    resting, falling = below[touches], below[~touches & ~contacts.nearer[below]]
+    resting = resting[level.ravel()[contacts.there_px[resting]]]
+    on = np.bincount(here[resting] * (count + 1) + there[resting], minlength=count * (count + 1))
+    return SupportContacts(
+        outline=np.bincount(regions[is_foot], minlength=count),
+        free=np.bincount(here[falling], minlength=count),
+        on=on.reshape(count, count + 1),
+    )

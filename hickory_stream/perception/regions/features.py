@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,11 @@ class Features(Mapping[str, "NDArray[np.float64]"]):
 def joined(*parts: Features) -> Features:
     """Return the columns of all parts, which have the same pairs and different names."""
     return Features(_all_names(*(part.names for part in parts)), np.concatenate([part.rows for part in parts], axis=1))
+
+
+def table(*columns: NDArray[Any]) -> NDArray[np.float64]:
+    """Return (K, M) the columns, some (K,) and some (n, K) several."""
+    return np.concatenate([own[None] if own.ndim == 1 else own for own in columns]).T
 
 
 def of_both(

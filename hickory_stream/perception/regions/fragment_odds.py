@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS, PixelOdds
-from hickory_stream.perception.regions.region_graph import merged_keys
+from hickory_stream.perception.regions.region_graph import merged_keys, summed
 
 # Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution.
 LEVELS = (-2.0, 0.0, 2.0)
@@ -45,15 +45,19 @@ class FragmentOdds:
     def of_groups(self, numbers: NDArray[np.int64], count: int) -> FragmentOdds:
         """Return the sums of `count` groups; `numbers` (n,) names the group of each fragment."""
         a, b, places = merged_keys(self.a, self.b, numbers, count)
-        sums = np.zeros((len(a), _NUM_DISTANCES), dtype=np.int64)
-        levels = np.zeros((len(a), _NUM_DISTANCES, _NUM_LEVELS), dtype=np.int64)
-        inner, num_inner = np.zeros((2, count, _NUM_DISTANCES), dtype=np.int64)
-        thing, num_pixels = np.zeros((2, count), dtype=np.int64)
-        _add_pairs((self.a, self.sums, self.levels), (places, numbers), (sums, levels, inner, num_inner))
-        of_groups = {"inner": inner, "num_inner": num_inner, "thing": thing, "num_pixels": num_pixels}
-        own = (self.inner, self.num_inner, self.thing, self.num_pixels)
-        _add_fragments(own, numbers, tuple(of_groups.values()))
-        return FragmentOdds(a=a, b=b, sums=sums, levels=levels, **of_groups)
+        # Pairs of two members of a group are within the group.
+        within, counts = places < 0, self.levels.sum(axis=2)
+        groups = numbers[self.a[within]]
+        return FragmentOdds(
+            a=a,
+            b=b,
+            sums=summed(self.sums, places, len(a)),
+            levels=summed(self.levels, places, len(a)),
+            inner=summed(self.inner, numbers, count) + summed(self.sums[within], groups, count),
+            num_inner=summed(self.num_inner, numbers, count) + summed(counts[within], groups, count),
+            thing=summed(self.thing, numbers, count),
+            num_pixels=summed(self.num_pixels, numbers, count),
+        )
 
     def of_pairs(self, pairs: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the sums (M, D) and levels (M, D, 4) of (M, 2) pairs of `count` fragments; 0 for unknown pairs."""
@@ -78,8 +82,10 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
     few = np.ascontiguousarray(labels[::2, ::2])
     count = int(labels.max(initial=0)) + 1
     level_of = np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
-    found = _sums(few, odds.odds, np.array(OFFSETS), _NUM_DISTANCES, level_of, count)
-    sums, levels, inner, num_inner, things = found
+    sums, levels = (np.zeros((count * count, _NUM_DISTANCES, *more), np.int32) for more in ((), (_NUM_LEVELS,)))
+    inner, num_inner = np.zeros((2, count, _NUM_DISTANCES), np.int64)
+    things = np.zeros((count, 2), np.int64)
+    _add(few, odds.odds, np.array(OFFSETS), level_of, sums, levels, inner, num_inner, things)
     keys = np.flatnonzero(levels.any(axis=(1, 2)))
     return FragmentOdds(
         a=keys // count,
@@ -94,41 +100,9 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
 
 
 @kernel
-def _add_pairs(pairs, which, out):
-    # Pairs of two members of a group are within the group.
-    (a, sums, levels), (places, numbers), (out_sums, out_levels, inner, num_inner) = pairs, which, out
-    for i in range(len(places)):
-        place, group = places[i], numbers[a[i]]
-        for distance in range(sums.shape[1]):
-            if place < 0:
-                inner[group, distance] += sums[i, distance]
-                num_inner[group, distance] += levels[i, distance].sum()
-                continue
-            out_sums[place, distance] += sums[i, distance]
-            for level in range(levels.shape[2]):
-                out_levels[place, distance, level] += levels[i, distance, level]
-
-
-@kernel
-def _add_fragments(fragments, numbers, out):
-    (inner, num_inner, thing, num_pixels), (out_inner, out_num_inner, out_thing, out_num_pixels) = fragments, out
-    for i in range(len(numbers)):
-        group = numbers[i]
-        out_thing[group] += thing[i]
-        out_num_pixels[group] += num_pixels[i]
-        for distance in range(inner.shape[1]):
-            out_inner[group, distance] += inner[i, distance]
-            out_num_inner[group, distance] += num_inner[i, distance]
-
-
-@kernel
-def _sums(labels, odds, offsets, num_distances, level_of, count):
+def _add(labels, odds, offsets, level_of, sums, levels, inner, num_inner, things):
     height, width = labels.shape
-    sums = np.zeros((count * count, num_distances), dtype=np.int32)
-    levels = np.zeros((count * count, num_distances, 4), dtype=np.int32)
-    inner = np.zeros((count, num_distances), dtype=np.int64)
-    num_inner = np.zeros((count, num_distances), dtype=np.int64)
-    things = np.zeros((count, 2), dtype=np.int64)
+    count, num_distances = inner.shape
     last = len(offsets)
     for y in range(height):
         for x in range(width):
@@ -153,4 +127,3 @@ def _sums(labels, odds, offsets, num_distances, level_of, count):
                 at = min(label, other) * count + max(label, other)
                 sums[at, distance] += np.int32(byte) - ODDS_ZERO
                 levels[at, distance, level_of[byte]] += 1
-    return sums, levels, inner, num_inner, things

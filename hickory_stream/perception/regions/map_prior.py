@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.voxels import key_of_point, keys_of_points
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import MapPrior, Phase, TrackedObject
 
@@ -92,7 +92,8 @@ def _objects_near(points: NDArray[np.float32], prior: MapPrior) -> list[TrackedO
     # The smallest first.
     if len(points) == 0:
         return []
-    low, high = points.min(axis=0) - prior.points_m, points.max(axis=0) + prior.points_m
+    low, high = bounds_of(points)
+    low, high = low - prior.points_m, high + prior.points_m
     near = []
     for item in prior.objects:
         if item.phase is Phase.TENTATIVE or item.sightings < _MIN_SIGHTINGS:
@@ -109,28 +110,13 @@ def _owners_of_points(
     # (N,) the first object with a voxel at each point, else with one beside it; -1 for none.
     # Points are nearly sorted by voxel: a stable sort is fast on them.
     keys = [np.sort(keys_of_points(item.points_world, voxel_m), kind="stable") for item in objects]
-    ends = np.cumsum([len(k) for k in keys])
-    found: NDArray[np.int64] = _first_with(np.ascontiguousarray(points), np.concatenate(keys), ends, float(voxel_m))
-    return found
-
-
-@kernel
-def _first_with(points, keys, ends, voxel_m):
-    # A point's voxel is looked up in the sorted keys of each object in turn, then its six face neighbours.
-    steps = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)], dtype=np.int64)
-    owners = np.full(len(points), -1, dtype=np.int64)
-    for i in range(len(points)):
-        key = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
-        for step in steps:
-            start = 0
-            for k in range(len(ends)):
-                end = ends[k]
-                if end > start and keys[start] <= key + step <= keys[end - 1]:
-                    at = start + np.searchsorted(keys[start:end], key + step)
-                    if at < end and keys[at] == key + step:
-                        owners[i] = k
-                        break
-                start = end
-            if owners[i] >= 0:
-                break
+    own, owners = keys_of_points(points, voxel_m), np.full(len(points), -1, dtype=np.int64)
+    for step in _STEPS:
+        for i, of_object in enumerate(keys):
+            waiting = np.flatnonzero(owners < 0)
+            owners[waiting[contains(of_object, own[waiting] + step)]] = i
     return owners
+
+
+# A point's voxel, then its six face neighbours: what they add to its key.
+_STEPS = (0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42))

@@ -9,12 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
-from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT
-from hickory_stream.perception.regions.features import Features
-from hickory_stream.perception.regions.fragment_odds import NUM_NEAR, FragmentOdds
+from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX
+from hickory_stream.perception.regions.features import Features, table
+from hickory_stream.perception.regions.fragment_odds import NUM_NEAR, FragmentOdds, mean_log_odds
 
-_NUM_DISTANCES = len(DISTANCES_PX)
 _SIDES = ("large", "small")
 ODDS_FEATURES = (
     *("odds_near", "odds_far"),
@@ -31,56 +29,27 @@ def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: in
     """Return by name (K,) the features of (K, 2) pairs, large and small, of `count` regions; NaN without odds."""
     if odds is None:
         return Features(ODDS_FEATURES, np.full((len(pairs), len(ODDS_FEATURES)), np.nan))
-    rows = np.empty((len(pairs), len(ODDS_FEATURES)))
     sums, levels = odds.of_pairs(pairs, count)
-    best = _best(odds.a, odds.b, odds.sums, odds.levels, count)
-    _fill(rows, pairs, sums, levels, odds.inner, odds.num_inner, odds.thing, odds.num_pixels, best)
+    counts, sides, parts = levels.sum(axis=2), pairs.T, (slice(0, NUM_NEAR), slice(NUM_NEAR, None))
+    numbers = [counts[:, part].sum(axis=1) for part in parts]
+    # The highest mean log-odds of each region with any other.
+    best, means = np.full(count, -np.inf), mean_log_odds(odds.sums.sum(axis=1), odds.levels.sum(axis=(1, 2)))
+    for ends in (odds.a, odds.b):
+        np.maximum.at(best, ends, means)
+    rows = table(
+        *(mean_log_odds(sums[:, part].sum(axis=1), number) for part, number in zip(parts, numbers, strict=True)),
+        mean_log_odds(sums, counts).T,
+        *(_shares(levels[:, part].sum(axis=1).T) for part in parts),
+        *(number / np.sqrt(np.maximum(odds.num_pixels[sides[1]], 1)) for number in numbers),
+        *(mean_log_odds(odds.inner[:, part].sum(axis=1), odds.num_inner[:, part].sum(axis=1))[sides] for part in parts),
+        best[sides] - mean_log_odds(sums.sum(axis=1), counts.sum(axis=1)),
+        mean_log_odds(odds.thing, odds.num_pixels)[sides],
+    )
     return Features(ODDS_FEATURES, rows)
 
 
-@kernel(error_model="numpy")
-def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):
-    # Fill in a row of `ODDS_FEATURES` for each pair; counts of 0 give NaN.
-    counts = np.empty(_NUM_DISTANCES, np.int64)
-    for k in range(len(pairs)):
-        row, small = rows[k], pairs[k, 1]
-        for i in range(_NUM_DISTANCES):
-            counts[i] = levels[k, i].sum()
-            row[2 + i] = _mean(sums[k, i], counts[i])
-        own = _mean(sums[k].sum(), counts.sum())
-        at = 2 + _NUM_DISTANCES
-        for part in range(2):
-            distances = slice(0, NUM_NEAR) if part == 0 else slice(NUM_NEAR, _NUM_DISTANCES)
-            number = counts[distances].sum()
-            row[part] = _mean(sums[k, distances].sum(), number)
-            for j in range(3):
-                # Of the levels the lowest, the lower half, the highest.
-                some = levels[k, distances, 3 if j == 2 else 0].sum()
-                if j == 1:
-                    some += levels[k, distances, 1].sum()
-                row[at + 3 * part + j] = some / number if number > 0 else np.nan
-            row[at + 6 + part] = number / np.sqrt(max(num_pixels[small], 1))
-            for side in range(2):
-                region = pairs[k, side]
-                within = _mean(inner[region, distances].sum(), num_inner[region, distances].sum())
-                row[at + 8 + 2 * part + side] = within
-        for side in range(2):
-            region = pairs[k, side]
-            row[at + 12 + side] = best[region] - own if np.isfinite(own) else np.nan
-            row[at + 14 + side] = _mean(thing[region], num_pixels[region])
-
-
-@kernel(error_model="numpy")
-def _best(a, b, sums, levels, count):
-    # (count,) the highest mean log-odds of each region with any other.
-    best = np.full(count, -np.inf)
-    for n in range(len(a)):
-        mean = _mean(sums[n].sum(), levels[n].sum())
-        best[a[n]], best[b[n]] = max(best[a[n]], mean), max(best[b[n]], mean)
-    return best
-
-
-@kernel(error_model="numpy")
-def _mean(total, count):
-    # Mean log-odds from a sum of bytes relative to even odds; NaN where the count is 0.
-    return total / (ODDS_UNIT * count) if count > 0 else np.nan
+def _shares(levels: NDArray[np.int64]) -> NDArray[np.float64]:
+    # (3, K) the shares of the lowest of (4, K) levels, of the lower half, and of the highest.
+    number = levels.sum(axis=0)
+    some = np.array((levels[0], levels[0] + levels[1], levels[3]))
+    return np.where(number > 0, some / np.maximum(number, 1), np.nan)

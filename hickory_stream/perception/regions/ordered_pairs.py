@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.regions.contacts import SupportContacts, support_contacts_of
 from hickory_stream.perception.regions.region_extents import Extents, extents_of, union_of
 from hickory_stream.perception.regions.region_graph import (
@@ -41,26 +40,16 @@ def pair_geometry(
     regions: Regions, pairs: RegionPairs, large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> PairGeometry:
     """Return the relative geometry of the regions `large` and `small` (K,) of K pairs."""
-    out = tuple(np.empty((5, len(large), 3)))
-    of_regions = (regions.pixels, regions.place, regions.low, regions.high)
-    _fill(of_regions, (pairs.touch, pairs.contact, pairs.contact_squares), large, small, out)
-    return PairGeometry(aside_m=out[0], overlap_m=out[1], inset_m=out[2], contact_m=out[3], contact_spread_m=out[4])
-
-
-@kernel
-def _fill(regions, pairs, larges, smalls, out):
-    (pixels, place, low, high), (touches, contact, contact_squares) = regions, pairs
-    aside_m, overlap_m, inset_m, contact_m, spread_m = out
-    for i in range(len(larges)):
-        large, small, touch = larges[i], smalls[i], max(touches[i], 1.0)
-        per_large, per_small = max(pixels[large], 1.0), max(pixels[small], 1.0)
-        for k in range(3):
-            aside_m[i, k] = place[small, k] / per_small - place[large, k] / per_large
-            overlap_m[i, k] = min(high[large, k], high[small, k]) - max(low[large, k], low[small, k])
-            inset_m[i, k] = min(low[small, k] - low[large, k], high[large, k] - high[small, k])
-            mean_m = contact[i, k] / touch
-            contact_m[i, k] = mean_m
-            spread_m[i, k] = np.sqrt(max(contact_squares[i, k] / touch - mean_m * mean_m, 0.0))
+    middle_m, touch = regions.place / np.maximum(regions.pixels, 1.0)[:, None], np.maximum(pairs.touch, 1.0)[:, None]
+    low, high, inner_low, inner_high = regions.low[large], regions.high[large], regions.low[small], regions.high[small]
+    contact_m = pairs.contact / touch
+    return PairGeometry(
+        aside_m=middle_m[small] - middle_m[large],
+        overlap_m=np.minimum(high, inner_high) - np.maximum(low, inner_low),
+        inset_m=np.minimum(inner_low - low, high - inner_high),
+        contact_m=contact_m,
+        contact_spread_m=np.sqrt(np.maximum(pairs.contact_squares / touch - contact_m * contact_m, 0.0)),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -5,12 +5,15 @@ All measures are sums, minima or maxima, so a merged region's follow from its fr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.voxels import sorted_unique
 from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.regions.contacts import Contacts, contacts_of
 from hickory_stream.perception.regions.occlusion_bridging import bridges
@@ -123,94 +126,55 @@ def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float) -> 
 
 def merged_regions(regions: Regions, numbers: NDArray[np.int64], count: int) -> Regions:
     """Return the measures of `count` merged regions; `numbers` (n,) gives the merged region of each region."""
-    values = [getattr(regions, name) for name in _REGION_SUMS]
-    sums = [np.zeros((count, *own.shape[1:])) for own in values]
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    _merge_regions(_rows(values), _rows(sums), (regions.low, regions.high), (low, high), numbers)
-    return Regions(low=low, high=high, **dict(zip(_REGION_SUMS, sums, strict=True)))
+    np.minimum.at(low, numbers, regions.low)
+    np.maximum.at(high, numbers, regions.high)
+    return Regions(
+        low=low, high=high, **{name: summed(getattr(regions, name), numbers, count) for name in _REGION_SUMS}
+    )
 
 
 def merged_pairs(pairs: RegionPairs, numbers: NDArray[np.int64]) -> RegionPairs:
     """Return the measures of the pairs of merged regions, ordered by number, without pairs within one."""
-    count = int(numbers.max(initial=0)) + 1
-    a, b, places = merged_keys(pairs.a, pairs.b, numbers, count)
-    values = [getattr(pairs, name) for name in _PAIR_SUMS]
-    sums = [np.zeros((len(a), *own.shape[1:])) for own in values]
-    nearer, above, gap_m = np.zeros((len(a), 2)), np.zeros((len(a), 2)), np.full(len(a), np.inf)
-    others, which = (pairs.nearer, pairs.above, pairs.gap_m), (pairs.a, pairs.b, numbers, places)
-    _merge_pairs(_rows(values), _rows(sums), others, (nearer, above, gap_m), which)
-    return RegionPairs(a=a, b=b, nearer=nearer, above=above, gap_m=gap_m, **dict(zip(_PAIR_SUMS, sums, strict=True)))
+    a, b, places = merged_keys(pairs.a, pairs.b, numbers, int(numbers.max(initial=0)) + 1)
+    # `nearer` and `above` are by side, and sides may have changed places.
+    turned, apart = (numbers[pairs.a] > numbers[pairs.b])[:, None], places >= 0
+    sides = {
+        name: np.where(turned, own[:, ::-1], own) for name, own in (("nearer", pairs.nearer), ("above", pairs.above))
+    }
+    values = {name: getattr(pairs, name) for name in _PAIR_SUMS} | sides
+    gap_m = np.full(len(a), np.inf)
+    np.minimum.at(gap_m, places[apart], pairs.gap_m[apart])
+    return RegionPairs(a=a, b=b, gap_m=gap_m, **{name: summed(own, places, len(a)) for name, own in values.items()})
 
 
-def _rows(values: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], ...]:
-    # Each of (N, ...) values as rows (N, k) of the same memory, for a kernel that takes all at once.
-    return tuple(own if own.ndim > 1 else own[:, None] for own in values)
-
-
-@kernel
-def merged_keys(a, b, numbers, count):
+def merged_keys(
+    a: NDArray[np.int64], b: NDArray[np.int64], numbers: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return (M,), (M,) the pairs of merged regions, ordered, and (K,) the place of each pair a, b among them.
 
     `numbers` (n,) gives the merged region 0..count - 1 of each region; pairs within one have no place, -1.
     """
-    table = np.full(count * count, -1, dtype=np.int64)
-    places = np.empty(len(a), dtype=np.int64)
-    for i in range(len(a)):
-        one, other = numbers[a[i]], numbers[b[i]]
-        places[i] = -1 if one == other else min(one, other) * count + max(one, other)
-        if one != other:
-            table[places[i]] = 0
-    num_pairs = 0
-    for key in range(count * count):
-        if table[key] == 0:
-            table[key] = num_pairs
-            num_pairs += 1
-    lower, upper = np.empty(num_pairs, dtype=np.int64), np.empty(num_pairs, dtype=np.int64)
-    for i in range(len(a)):
-        if places[i] >= 0:
-            place = table[places[i]]
-            lower[place], upper[place] = places[i] // count, places[i] % count
-            places[i] = place
-    return lower, upper, places
+    one, other = numbers[a], numbers[b]
+    wanted = np.where(one == other, -1, np.minimum(one, other) * count + np.maximum(one, other))
+    keys = sorted_unique(wanted[wanted >= 0])
+    return keys // count, keys % count, np.where(wanted < 0, -1, np.searchsorted(keys, wanted))
 
 
-# All sums are added in the order of their rows, so that rounding is reproducible.
+def summed(values: NDArray[Any], places: NDArray[np.int64], count: int) -> NDArray[Any]:
+    """Return (count, ...) the sums of values (n, ...) by place (n,), in their order; those at place -1 are left out."""
+    out = np.zeros((count, *values.shape[1:]), values.dtype)
+    width = math.prod(values.shape[1:])
+    _add_rows(values.reshape(len(values), width), places, out.reshape(count, width))
+    return out
 
 
 @kernel
-def _merge_regions(values, sums, boxes, merged_boxes, numbers):
-    (low, high), (merged_low, merged_high) = boxes, merged_boxes
-    for i in range(len(numbers)):
-        for k in range(3):
-            merged_low[numbers[i], k] = min(merged_low[numbers[i], k], low[i, k])
-            merged_high[numbers[i], k] = max(merged_high[numbers[i], k], high[i, k])
-    for one in range(len(values)):
-        rows, out = values[one], sums[one]
-        for i in range(len(numbers)):
-            for k in range(rows.shape[1]):
-                out[numbers[i], k] += rows[i, k]
-
-
-@kernel
-def _merge_pairs(values, sums, others, merged_others, which):
-    # `nearer` and `above` are by side, and sides may have changed places.
-    (nearer, above, gap_m), (merged_nearer, merged_above, merged_gap_m) = others, merged_others
-    a, b, numbers, places = which
+def _add_rows(rows, places, out):
     for i in range(len(places)):
-        place = places[i]
-        if place < 0:
-            continue
-        turned = numbers[a[i]] > numbers[b[i]]
-        for side in range(2):
-            merged_nearer[place, side] += nearer[i, 1 - side if turned else side]
-            merged_above[place, side] += above[i, 1 - side if turned else side]
-        merged_gap_m[place] = min(merged_gap_m[place], gap_m[i])
-    for one in range(len(values)):
-        rows, out = values[one], sums[one]
-        for i in range(len(places)):
-            if places[i] >= 0:
-                for k in range(rows.shape[1]):
-                    out[places[i], k] += rows[i, k]
+        if places[i] >= 0:
+            for k in range(rows.shape[1]):
+                out[places[i], k] += rows[i, k]
 
 
 def _pairs(

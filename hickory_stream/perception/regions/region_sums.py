@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.perception.surface import Surface
 
 
@@ -46,8 +48,10 @@ def region_sums(
     """Return the sums of at least one region of `labels` (h, w), and the origin of positions (3,) and of heights."""
     names, points, planes = _labelled(labels, supports, surface.points_world)
     count = int(names.max()) + 1
-    middle, bottom_m, top_m = points.mean(axis=0), float(points[:, 2].min()), float(points[:, 2].max())
-    sums, low, high = _sums(
+    middle = portable.matmul(np.ones(len(points)), points) / len(points)
+    bottom_m, top_m = (float(height) for height in bounds_of(points)[:, 2])
+    sums, low, high = np.zeros((count, 24)), np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    _add(
         labels.ravel(),
         points - middle,
         points,
@@ -57,7 +61,9 @@ def region_sums(
         surface.normals_world.reshape(-1, 3),
         surface.sigma_m.ravel(),
         labels.shape[1],
-        count,
+        sums,
+        low,
+        high,
     )
     bins = int((top_m - bottom_m) / height_bin_m) + 1
     flat = labels.ravel()
@@ -67,7 +73,7 @@ def region_sums(
     return RegionSums(planes=in_plane, heights=heights, low=low, high=high, **of_pixels), middle, bottom_m
 
 
-# The columns of `_sums`.
+# The columns of `_add`.
 _WIDTHS = {"pixels": 1, "area_m2": 1, "depth_m": 1, "lab": 3, "lab_squares": 3, "place": 3, "place_products": 6}
 _WIDTHS |= {"normals": 3, "sigma_m": 1, "grain": 2}
 
@@ -90,12 +96,10 @@ def _labelled(labels, supports, points):
 
 
 @kernel
-def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, count):
+def _add(labels, places, points, areas, depth, lab, normals, sigma, width, sums, low, high):
     # (count, 24) sums and (count, 3) least and greatest coordinates. Columns: 1, area, depth, lab, squares of lab (in
     # single precision), position, products of positions, normals, sigma, colour difference to the right neighbour of
     # the same label, number of such neighbours. `places` and `points` are of labelled pixels.
-    sums = np.zeros((count, 24))
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     n = 0
     for i in range(len(labels)):
         name = labels[i]
@@ -127,7 +131,6 @@ def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, coun
             own[22] += np.sqrt(0.25 * light * light + green * green + blue * blue)
             own[23] += 1.0
         n += 1
-    return sums, low, high
 
 
 @kernel

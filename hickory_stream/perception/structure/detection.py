@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
-from hickory_stream.perception.structure import detection_kernels as kernels
 from hickory_stream.perception.structure.ground import Ground, GroundConfig
 from hickory_stream.perception.structure.raised_patches import NearPlane
 from hickory_stream.perception.surface import Surface
@@ -71,17 +71,25 @@ class Wall:
     def distance_m(self, surface: Surface) -> NDArray[np.float32]:
         """Return (h, w) the signed distance of each pixel in front of the wall."""
         rows = surface.points_world.reshape(-1, 3)
-        return np.asarray(kernels.along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
+        return np.asarray(_along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
 
     def mask(
         self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
         """Return (h, w) the pixels of the wall, to a tolerance in metres per pixel."""
-        facing = kernels.along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
-        mask: NDArray[np.bool_] = kernels.on_wall(distance, facing, tolerance, self.cells is None)
+        facing = _along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
+        mask = _on_wall(distance, facing, tolerance, is_end=self.cells is None)
         if self.cells is not None:
             mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
         return mask
+
+
+def _on_wall(
+    distance: NDArray[np.float32], facing: NDArray[np.float32], tolerance: NDArray[np.float32], *, is_end: bool
+) -> NDArray[np.bool_]:
+    # Near and parallel to a wall, or very near; with `is_end`, also all behind it.
+    away = distance if is_end else np.abs(distance)
+    return np.asarray((away < np.float32(1.5) * tolerance) & ((facing > 0.8) | (away < np.float32(0.6) * tolerance)))
 
 
 _STRETCH_M = 0.25
@@ -90,20 +98,18 @@ _SEEN_M2 = 0.03
 
 def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
     # (N,) the index of the section along a wall of each of (N, 2) points.
-    sideways = kernels.along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
+    sideways = _along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
     return np.floor(sideways / _STRETCH_M).astype(np.int64)
 
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
     """Return (h, w) the surface area of each pixel; 0 without depth, bounded at grazing angles."""
-    areas: NDArray[np.float32] = kernels.areas_m2(
-        surface.points_world,
-        surface.normals_world,
-        surface.depth_m,
-        surface.world_from_camera[:3, 3].astype(np.float32),
-        np.float32(surface.camera.fx * surface.camera.fy),
-    )
-    return areas
+    rays = (surface.points_world - surface.world_from_camera[:3, 3].astype(np.float32)).reshape(-1, 3).T
+    nx, ny, nz = surface.normals_world.reshape(-1, 3).T
+    across, squares = np.abs(rays[0] * nx + rays[1] * ny + rays[2] * nz), rays * rays
+    cosine = (across / np.sqrt(squares[0] + squares[1] + squares[2])).reshape(surface.depth_m.shape)
+    per_pixel = surface.depth_m * surface.depth_m / np.float32(surface.camera.fx * surface.camera.fy)
+    return np.where(np.isnan(cosine), np.float32(0), per_pixel / np.maximum(cosine, np.float32(0.15)))
 
 
 def horizontal_planes(surface: Surface, areas_m2: NDArray[np.float32], *, min_area_m2: float) -> list[HorizontalPlane]:
@@ -190,36 +196,37 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
     # By direction, the rearmost first.
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
-    all_at, all_weight, all_sigma = kernels.surface_of_area(points, surface.sigma_m.reshape(-1), weights)
-    pixels, direction = kernels.upright_pixels(normals, weights)
-    if len(pixels) == 0:
+    sigma, own = surface.sigma_m.reshape(-1), np.flatnonzero(weights > 0)
+    all_at, all_weight = points.take(own, axis=0), weights[own].astype(np.float64)
+    all_sigma = np.float32(2) * sigma[own]
+    left = _upright(points, normals, sigma, weights)
+    if len(left.pixels) == 0:
         return []
     walls: list[Wall] = []
-    at, heights, sigma, weight = kernels.places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
-    azimuths = kernels.bins_of_azimuth(direction, _AZIMUTHS)
-    left = _Upright(pixels, at, heights, sigma, weight, direction, azimuths)
     width, total = surface.depth_m.shape[1], float(all_weight.sum())
     for _ in range(8):
         normal = _dominant_direction(left)
-        agreement = kernels.along(left.direction, normal)
+        agreement = _along(left.direction, normal)
         facing, left = left.among(agreement > 0.97), left.among(~(agreement > 0.94))
-        for peak in _peaks(kernels.along(facing.at, normal), facing.weight, _WALL_AREA_M2):
+        for peak in _peaks(_along(facing.at, normal), facing.weight, _WALL_AREA_M2):
             inward, offset = _refined(facing, normal, peak)
-            offsets = kernels.along(facing.at, inward)
-            on_it = facing.among(kernels.near_offset(offsets, np.float32(offset), 0.04 + facing.sigma))
-            if len(on_it.pixels) == 0:
+            offsets = _along(facing.at, inward)
+            on_it = np.flatnonzero(np.abs(offsets - np.float32(offset)) < 0.04 + facing.sigma)
+            if len(on_it) == 0:
                 continue
-            all_offsets = kernels.along(all_at, inward)
-            behind = float(kernels.weight_below(all_weight, all_offsets, np.float32(offset - 0.12), all_sigma).sum())
+            at = facing.at.take(on_it, axis=0)
+            all_offsets = _along(all_at, inward)
+            places = np.flatnonzero(all_offsets < np.float32(offset - 0.12) - all_sigma)
+            behind = float(all_weight[places].sum())
             if behind < _BEHIND_SHARE * total:
-                if _is_tall(on_it.heights, floor_z_m):
+                if _is_tall(at[:, 2], floor_z_m):
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
-            elif _is_high(on_it.heights, on_it.pixels, width, floor_z_m):
-                sections, inverse = np.unique(_stretches(on_it.at, inward), return_inverse=True)
-                cells = sections[np.bincount(inverse, weights=on_it.weight) > _SEEN_M2]
+            elif _is_high(at[:, 2], facing.pixels[on_it], width, floor_z_m):
+                sections, inverse = np.unique(_stretches(at, inward), return_inverse=True)
+                cells = sections[np.bincount(inverse, weights=facing.weight[on_it]) > _SEEN_M2]
                 depth = offset - offsets
                 is_backing = (depth > 0.12 + facing.sigma) & (depth < _FURNITURE_DEPTH_M)
-                backing = float(kernels.taken(facing.weight, is_backing).sum())
+                backing = float(facing.weight[is_backing].sum())
                 if len(cells) * _STRETCH_M > _WALL_WIDTH_M and backing < _BACKING_M2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
         if float(left.weight.sum()) < _WALL_AREA_M2:
@@ -229,19 +236,35 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Upright:
-    # N pixels of vertical surface: positions `at` (N, 2), heights, depth sigma, area, direction (N, 2) and its bin.
+    # N pixels of vertical surface: positions `at` (N, 3), depth sigma, area, horizontal direction (N, 2) and its bin.
     pixels: NDArray[np.int64]
     at: NDArray[np.float32]
-    heights: NDArray[np.float32]
     sigma: NDArray[np.float32]
     weight: NDArray[np.float64]
     direction: NDArray[np.float32]
     azimuths: NDArray[np.int64]
 
     def among(self, mask: NDArray[np.bool_]) -> _Upright:
-        values = (getattr(self, field.name) for field in fields(self))
-        take = {1: kernels.taken, 2: kernels.taken_rows}
-        return _Upright(*(take[own.ndim](own, mask) for own in values))
+        places = np.flatnonzero(mask)
+        return _Upright(*(getattr(self, field.name).take(places, axis=0) for field in fields(self)))
+
+
+def _upright(
+    points: NDArray[np.float32], normals: NDArray[np.float32], sigma: NDArray[np.float32], areas: NDArray[np.float32]
+) -> _Upright:
+    # The pixels with an area and a horizontal normal, of (P, 3) points and normals.
+    pixels = np.flatnonzero((np.abs(normals[:, 2]) < 0.2) & (areas > 0))
+    direction = np.ascontiguousarray(normals.take(pixels, axis=0)[:, :2])
+    direction /= np.sqrt(direction[:, 0] * direction[:, 0] + direction[:, 1] * direction[:, 1])[:, None]
+    weight, azimuths = areas[pixels].astype(np.float64), _bins_of_azimuth(direction, _AZIMUTHS)
+    return _Upright(pixels, points.take(pixels, axis=0), sigma[pixels], weight, direction, azimuths)
+
+
+def _bins_of_azimuth(directions: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+    # The bin of each direction (N, 2), of `count` equal bins of azimuth from -pi on.
+    turns = (portable.arctan2(directions[:, 1], directions[:, 0]) + np.pi) / (2 * np.pi)
+    bins = (turns * count).astype(np.int64)
+    return np.where(bins < count, bins, 0)
 
 
 def _is_high(
@@ -275,9 +298,9 @@ def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
     areas = np.bincount(left.azimuths, weights=left.weight, minlength=_AZIMUTHS)
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
-    near = kernels.along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
-    weight = kernels.taken(left.weight, near)
-    mean = kernels.weighted_sum(kernels.taken_rows(left.direction, near), weight) / weight.sum()
+    near = np.flatnonzero(_along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98)
+    weight = left.weight[near]
+    mean = portable.matmul(left.direction.take(near, axis=0).T, weight) / weight.sum()
     return (mean / portable.norm(mean)).astype(np.float32)
 
 
@@ -285,17 +308,25 @@ def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tu
     # Least squares, twice; an error of a degree is 9 cm on 5 m of wall.
     tolerance_m = 0.05 + 2.0 * facing.sigma
     for _ in range(2):
-        near = kernels.near_offset(kernels.along(facing.at, normal), np.float32(offset), tolerance_m)
-        at_near, share = kernels.taken_rows(facing.at, near), kernels.taken(facing.weight, near)
-        if len(share) < 20:
+        near = np.flatnonzero(np.abs(_along(facing.at, normal) - np.float32(offset)) < tolerance_m)
+        if len(near) < 20:
             break
-        middle, spread = kernels.spread_of(at_near, share / share.sum())
+        at_near, share = facing.at.take(near, axis=0), facing.weight.take(near)
+        middle, spread = _spread(at_near[:, :2], share / share.sum())
         _, axes = portable.eigh(spread)
         across = axes[:, 0] * np.sign(portable.dot(axes[:, 0], normal))
         if portable.dot(across, normal) < 0.98:
             break
         normal, offset = across.astype(np.float32), portable.dot(across, middle)
     return normal, offset
+
+
+def _spread(at: NDArray[np.float32], share: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # The mean (2,) of (N, 2) places whose shares add up to 1, and the covariance (2, 2).
+    columns = at.T.astype(np.float64, order="C")
+    middle = portable.matmul(columns, share)
+    columns -= middle[:, None]
+    return middle, portable.matmul(columns * share, columns.T)
 
 
 def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
@@ -317,3 +348,13 @@ def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m
         peaks.append(float(np.average(offsets[near], weights=weight[near])))
         first = peak + 6  # the flank of this peak is not another peak
     return peaks
+
+
+@kernel
+def _along(rows, direction):
+    # (N,) the projections of (N, 2) or (N, 3) rows on a horizontal direction (2,), in single precision.
+    out = np.empty(len(rows), dtype=np.float32)
+    x, y = direction[0], direction[1]
+    for i in range(len(rows)):
+        out[i] = np.float32(0.0) + rows[i, 0] * x + rows[i, 1] * y
+    return out

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.perception.surface import Surface
 
 # Side of a cell of the height grid.
@@ -96,97 +99,69 @@ class _Grid:
 
 
 def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float) -> _Grid | None:
-    at, sigma_m, is_known = _upward(
-        surface.points_world, surface.normals_world, surface.sigma_m, known, np.float32(_UPWARD), np.float32(highest_m)
-    )
-    if not len(at):
+    upward = (surface.normals_world[..., 2] > _UPWARD) & (surface.points_world[..., 2] < np.float32(highest_m))
+    own, cell = np.flatnonzero(upward), np.float32(_CELL_M)
+    if not len(own):
         return None
-    cell = np.float32(_CELL_M)
-    low = np.floor(at[:, :2].min(axis=0) / cell) * cell
-    size = tuple(int(n) for n in np.floor((at[:, :2].max(axis=0) - low) / cell) + 1)
+    points = surface.points_world.reshape(-1, 3).take(own, axis=0)
+    bounds = bounds_of(points)[:, :2]
+    low = np.floor(bounds[0] / cell) * cell
+    size = tuple(int(n) for n in np.floor((bounds[1] - low) / cell) + 1)
     # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
     eye = surface.world_from_camera[:3, 3].astype(np.float32)
-    z, slack, share = _lowest(at, sigma_m, is_known, eye, low, cell, size[0], size[1])
+    z, slack, share = _lowest(points, surface.sigma_m.ravel()[own], known.ravel()[own], eye, low, (size[0], size[1]))
     return _Grid(z, slack, share, low)
 
 
-@kernel
-def _upward(points, normals, sigma, known, least, highest):
-    # (N, 3) the points that face upward below a height, (N,) their noise, and whether they are known.
-    height, width = known.shape
-    at, noise = np.empty((height * width, 3), dtype=np.float32), np.empty(height * width, dtype=np.float32)
-    is_known = np.empty(height * width, dtype=np.bool_)
-    n = 0
-    for y in range(height):
-        for x in range(width):
-            if normals[y, x, 2] > least and points[y, x, 2] < highest:
-                at[n, 0], at[n, 1], at[n, 2] = points[y, x, 0], points[y, x, 1], points[y, x, 2]
-                noise[n], is_known[n] = sigma[y, x], known[y, x]
-                n += 1
-    return at[:n], noise[:n], is_known[:n]
-
-
-@kernel
-def _lowest(points, sigma, known, eye, low, cell, nx, ny):
+def _lowest(
+    points: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    eye: NDArray[np.float32],
+    low: NDArray[np.float32],
+    size: tuple[int, int],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     # The mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share.
-    least = np.full((nx, ny), np.float32(np.inf), dtype=np.float32)
-    places = np.empty((len(points), 2), dtype=np.int32)
-    noise = np.empty(len(points), dtype=np.float32)
-    for i in range(len(points)):
-        a, b = int((points[i, 0] - low[0]) / cell), int((points[i, 1] - low[1]) / cell)
-        a, b = min(max(a, 0), nx - 1), min(max(b, 0), ny - 1)
-        places[i, 0], places[i, 1] = a, b
-        rx, ry, rz = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
-        noise[i] = sigma[i] * abs(rz) / np.sqrt(rx * rx + ry * ry + rz * rz)
-        least[a, b] = min(least[a, b], points[i, 2] + noise[i])
-    total, slack = np.zeros((nx, ny)), np.zeros((nx, ny))
-    count, of_known = np.zeros((nx, ny)), np.zeros((nx, ny))
-    for i in range(len(points)):
-        a, b = places[i, 0], places[i, 1]
-        if points[i, 2] < least[a, b] + np.float32(0.04) + noise[i]:
-            total[a, b] += points[i, 2]
-            slack[a, b] += noise[i]
-            count[a, b] += 1.0
-            of_known[a, b] += known[i]
-    z = np.full((nx, ny), np.float32(np.nan), dtype=np.float32)
-    out_slack, share = np.zeros((nx, ny), dtype=np.float32), np.zeros((nx, ny), dtype=np.float32)
-    for a in range(nx):
-        for b in range(ny):
-            if count[a, b] >= _LEAST_PX:
-                z[a, b] = total[a, b] / count[a, b]
-                out_slack[a, b] = slack[a, b] / count[a, b]
-                share[a, b] = of_known[a, b] / count[a, b]
-    return z, out_slack, share
+    rays = np.ascontiguousarray((points - eye).T)
+    places = (np.ascontiguousarray((points[:, :2] - low).T) / np.float32(_CELL_M)).astype(np.int64)
+    cell = np.clip(places[0], 0, size[0] - 1) * size[1] + np.clip(places[1], 0, size[1] - 1)
+    noise = sigma * np.abs(rays[2]) / np.sqrt(rays[0] * rays[0] + rays[1] * rays[1] + rays[2] * rays[2])
+    heights, least = np.ascontiguousarray(points[:, 2]), np.full(size[0] * size[1], np.float32(np.inf))
+    np.minimum.at(least, cell, heights + noise)
+    of_layer = np.flatnonzero(heights < least[cell] + np.float32(0.04) + noise)
+    count = np.bincount(cell[of_layer], minlength=len(least))
+    has = count >= _LEAST_PX
+    sums = (np.bincount(cell[of_layer], own[of_layer], len(least)) for own in (heights, noise, known))
+    z, slack, share = ((total / np.where(has, count, 1)).astype(np.float32).reshape(size) for total in sums)
+    has = has.reshape(size)
+    return (
+        np.where(has, z, np.float32(np.nan)),
+        np.where(has, slack, np.float32(0)),
+        np.where(has, share, np.float32(0)),
+    )
 
 
-@kernel
-def _regions(z, slack, rise):
+def _regions(z: NDArray[np.float32], slack: NDArray[np.float32], rise: np.float32) -> NDArray[np.int32]:
     # (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit.
-    nx, ny = z.shape
-    out = np.zeros((nx, ny), dtype=np.int32)
-    queue = np.empty((nx * ny, 2), dtype=np.int32)
-    count = 0
-    for a in range(nx):
-        for b in range(ny):
-            if out[a, b] > 0 or np.isnan(z[a, b]):
-                continue
-            count += 1
-            out[a, b] = count
-            queue[0, 0], queue[0, 1] = a, b
-            first, last = 0, 1
-            while first < last:
-                i, j = queue[first, 0], queue[first, 1]
-                first += 1
-                for k in range(max(i - 1, 0), min(i + 2, nx)):
-                    for m in range(max(j - 1, 0), min(j + 2, ny)):
-                        if out[k, m] > 0 or np.isnan(z[k, m]):
-                            continue
-                        far = np.float32(1.0) if (k == i or m == j) else np.float32(1.4142)
-                        if abs(z[k, m] - z[i, j]) <= far * rise + min(slack[k, m], slack[i, j]):
-                            out[k, m] = count
-                            queue[last, 0], queue[last, 1] = k, m
-                            last += 1
-    return out
+    index, ends = np.arange(z.size).reshape(z.shape), []
+    diagonal = np.float32(1.4142) * rise
+    for limit, here, there in (
+        (rise, np.s_[:, :-1], np.s_[:, 1:]),
+        (rise, np.s_[:-1], np.s_[1:]),
+        (diagonal, np.s_[:-1, :-1], np.s_[1:, 1:]),
+        (diagonal, np.s_[:-1, 1:], np.s_[1:, :-1]),
+    ):
+        joins = np.abs(z[here] - z[there]) <= limit + np.minimum(slack[here], slack[there])
+        ends.append((index[here][joins], index[there][joins]))
+    one, other = np.concatenate(ends, axis=1)
+    graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(z.size, z.size))
+    names = connected_components(graph, directed=False)[1]
+    # Numbered by their first cells.
+    has = np.flatnonzero(~np.isnan(z.ravel()))
+    _, first, inverse = np.unique(names[has], return_index=True, return_inverse=True)
+    out = np.zeros(z.size, dtype=np.int32)
+    out[has] = (np.argsort(np.argsort(first, kind="stable"), kind="stable") + 1)[inverse]
+    return out.reshape(z.shape)
 
 
 def _is_ground(

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.perception.surface import Surface
 
@@ -62,11 +61,13 @@ def _raised(
 ) -> NDArray[np.bool_]:
     mask = np.zeros(plane.near.shape, dtype=bool)
     side = (_WINDOW_PX, _WINDOW_PX)
-    values, marks = _marked(plane.distance_m, plane.near)
+    values = cv2.copyTo(plane.distance_m, plane.near.view(np.uint8))
+    # Means over a window of the distance to the plane, 0 beyond, and of the mask of pixels near it.
     total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
-    share = cv2.blur(marks, side, borderType=cv2.BORDER_CONSTANT)
-    limits = (np.float32(x) for x in (_WINDOW_PX * _WINDOW_PX, _MIN_OFFSET_M, _MIN_OFFSET_SIGMAS))
-    high = _is_high(plane.near, total, share, sigma_m, *limits)
+    share = cv2.blur(plane.near.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
+    noise = sigma_m / np.sqrt(np.maximum(share * np.float32(_WINDOW_PX * _WINDOW_PX), np.float32(1)))
+    limit = np.maximum(np.float32(_MIN_OFFSET_M), np.float32(_MIN_OFFSET_SIGMAS) * noise)
+    high = plane.near & (total / np.maximum(share, np.float32(1e-6)) > limit)
     if np.count_nonzero(high) < _MIN_AREA_PX:
         return mask
     # Opening removes rims of a few pixels along the foot of an object.
@@ -94,31 +95,6 @@ def _borders_objects(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_
     outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
     touch = int(things[outline].sum())
     return touch >= _MIN_BORDER_PX if is_floor else touch > _MIN_BORDER_SHARE * int(outline.sum())
-
-
-@kernel
-def _marked(values, mask):
-    # (h, w) the values inside a mask, 0 elsewhere, and the mask as float.
-    out, marks = np.zeros(values.shape, dtype=np.float32), np.zeros(values.shape, dtype=np.float32)
-    for y in range(values.shape[0]):
-        for x in range(values.shape[1]):
-            if mask[y, x]:
-                out[y, x], marks[y, x] = values[y, x], np.float32(1.0)
-    return out, marks
-
-
-@kernel
-def _is_high(near, total, share, sigma, area, least, sigmas):
-    # `total` and `share` (h, w) are window means, over `area` pixels, of the distance to the plane (0 beyond) and of
-    # the mask of pixels near it.
-    out = np.zeros(near.shape, dtype=np.bool_)
-    for y in range(near.shape[0]):
-        for x in range(near.shape[1]):
-            if near[y, x]:
-                mean = total[y, x] / max(share[y, x], np.float32(1e-6))
-                noise = sigma[y, x] / np.sqrt(max(share[y, x] * area, np.float32(1.0)))
-                out[y, x] = mean > max(least, sigmas * noise)
-    return out
 
 
 _NEXT, _WIDE = np.ones((3, 3), dtype=np.uint8), np.ones((5, 5), dtype=np.uint8)

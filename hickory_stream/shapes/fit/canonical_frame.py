@@ -78,16 +78,17 @@ def _raised(
     # Frames last: what is done for one of them is done for all at once.
     weighted = normals * weights[:, None]
     if len(axes) == 1:
-        return portable.nearest_orthogonal(_raised_sum(np.ascontiguousarray(axes[0]), normals, weighted)[None])
-    raised = _raised_sums(np.ascontiguousarray(axes.transpose(1, 2, 0)), normals, weighted)
+        raised = np.zeros((1, 3, 3))
+        _add_raised(np.ascontiguousarray(axes[0]), normals, weighted, raised[0])
+        return portable.nearest_orthogonal(raised)
+    raised = np.zeros((3, 3, len(axes)))
+    _add_all_raised(np.ascontiguousarray(axes.transpose(1, 2, 0)), normals, weighted, np.empty(len(axes)), raised)
     return portable.nearest_orthogonal(raised.transpose(2, 0, 1))
 
 
 @kernel
-def _raised_sums(axes, normals, weighted):
+def _add_all_raised(axes, normals, weighted, cubes, raised):
     # (3, 3, S) sums of weighted normals (P, 3) times the cubes of their coordinates in frames (3, 3, S).
-    raised = np.zeros(axes.shape)
-    cubes = np.empty(axes.shape[2])
     for n in range(len(normals)):
         x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
         for column in range(3):
@@ -98,12 +99,10 @@ def _raised_sums(axes, normals, weighted):
                 share = weighted[n, row]
                 for s in range(axes.shape[2]):
                     raised[row, column, s] += share * cubes[s]
-    return raised
 
 
 @kernel
-def _raised_sum(axes, normals, weighted):
-    raised = np.zeros((3, 3))
+def _add_raised(axes, normals, weighted, raised):
     for n in range(len(normals)):
         x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
         for column in range(3):
@@ -111,7 +110,6 @@ def _raised_sum(axes, normals, weighted):
             cube = along * along * along
             for row in range(3):
                 raised[row, column] += weighted[n, row] * cube
-    return raised
 
 
 def _ordered(

@@ -1,56 +1,75 @@
 """The share of each cell of a grid that a superquadric fills: linear in the distance, within half a cell.
 
-Most cells are in or out by bounds without logarithms; the others have the distances of `quadric_lm.tangent_distance` to
-the last bit, for a block of cells at a time without branches, so that the compiler vectorises.
+Most cells are in or out by bounds without logarithms; the others have the distances of `tangent_planes`, but exact to
+the last bits, for a block of cells at a time without branches, so that the compiler vectorises.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, log, log1p, power
 
-_ROOM = 64
-# The columns of a block: cells, and their distances.
-_X, _Y, _Z, _DISTANCE = 0, _ROOM, 2 * _ROOM, 3 * _ROOM
+BLOCK = 64
+# The columns of a block: points, and their distances.
+X, Y, Z, DISTANCE = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
 _COLUMNS = 4
 # Beyond half a cell a bound of the distance is as good.
 _HALF = 0.5
 
 
+def new_block() -> NDArray[np.float64]:
+    """Return a block; points go to its columns X, Y, Z."""
+    return np.ones(_COLUMNS * BLOCK)
+
+
+def occupancies(row: NDArray[np.float64], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return the shares that a primitive (`quadric_lm.ROW`) fills of the cells from `low` up to `high`."""
+    out = np.empty(high - low, np.float32)
+    _fill_shares(row, body_of(row), low, out.shape, np.empty(out.size), new_block(), out.reshape(-1))
+    return out
+
+
+def body_of(row: NDArray[np.float64]) -> tuple[float, ...]:
+    """Return what `distance_bound` needs of a primitive, as numbers: an array is counted whenever it is passed on."""
+    e1, e2, log_a, log_b, log_c, *place = row.tolist()
+    # The box of this share of the semi-axes touches the primitive with its corners.
+    inscribed = exp(-0.5 * e1 * log1p(power(2.0, e2 / e1)))
+    return (*place, exp(log_a), exp(log_b), exp(log_c), inscribed, 1.0 if e1 <= 1.0 and e2 <= 1.0 else 0.0)
+
+
 @kernel
-def occupancies(row, low, high):
-    """Return the shares that a primitive (`quadric_lm.ROW`) fills of the cells from `low` up to `high`, float32."""
-    size_y, size_z = high[1] - low[1], high[2] - low[2]
-    body = body_of(row)
-    distances = np.empty((high[0] - low[0]) * size_y * size_z)
-    block, where, count = np.ones(_COLUMNS * _ROOM), np.empty(_ROOM, np.int64), 0
-    for i in range(low[0], high[0]):
-        for j in range(low[1], high[1]):
-            first = ((i - low[0]) * size_y + j - low[1]) * size_z
-            for n in range(size_z):
-                distances[first + n] = distance_bound(body, i, j, low[2] + n)
-            for n in range(size_z):
-                if abs(distances[first + n]) > _HALF:
-                    continue
-                block[_X + count], block[_Y + count], block[_Z + count] = i, j, low[2] + n
-                where[count] = first + n
+def _fill_shares(row, body, low, shape, distances, block, out):
+    where, count = np.empty(BLOCK, np.int64), np.int64(0)
+    size_z = shape[2]
+    for line in range(shape[0] * shape[1]):
+        i = line // shape[1]
+        first = line * size_z
+        x, y = np.float64(low[0] + i), np.float64(low[1] + line - i * shape[1])
+        for k in range(size_z):
+            distances[first + k] = distance_bound(body, x, y, np.float64(low[2] + k))
+        for k in range(size_z):
+            if abs(distances[first + k]) <= _HALF:
+                block[X + count], block[Y + count], block[Z + count] = x, y, low[2] + k
+                where[count] = first + k
                 count += 1
-                if count == _ROOM:
-                    _put_distances(block, where, count, row, distances)
-                    count = 0
-    _put_distances(block, where, count, row, distances)
-    out = np.empty((high[0] - low[0], size_y, size_z), np.float32)
-    shares = out.reshape(-1)
+            if count == BLOCK or (first + k == len(distances) - 1 and count > 0):
+                fill_exact_distances(block, count, row, _HALF)
+                for m in range(count):
+                    # Inside, the distance to a tangent plane is no lower bound.
+                    distances[where[m]] = max(block[DISTANCE + m], -_HALF)
+                count = np.int64(0)
     for first in range(0, len(distances), size_z):
         n, last = first, first + size_z
         while n < last:
             # Between adjacent cells the distance changes by at most 1: what follows a far one is as it is.
             end = min(n + 1 + int(max(abs(distances[n]) - _HALF, 0.0)), last)
-            shares[n:end] = occupancy(distances[n])
-            n = end
-    return out
+            share = occupancy(distances[n])
+            while n < end:
+                out[n] = share
+                n += 1
 
 
 @kernel
@@ -79,40 +98,17 @@ def distance_bound(body, x, y, z):
     return outside if outside > 0.5 else (-inside if inside > 0.5 else 0.0)
 
 
-@kernel
-def body_of(row):
-    """Return what `distance_bound` needs of a primitive, as numbers: an array is counted whenever it is passed on."""
-    return (
-        row[5], row[6], row[7],
-        row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16],
-        exp(row[2]), exp(row[3]), exp(row[4]), inscribed(row), 1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.0,
-    )  # fmt: skip
-
-
-@kernel
-def inscribed(row):
-    """Return s such that the box of s times the semi-axes touches the primitive with its corners."""
-    return exp(-0.5 * row[0] * log1p(power(2.0, row[1] / row[0])))
-
-
-@kernel
-def _put_distances(block, where, count, row, distances):
-    if count > 0:
-        _fill_distances(block, row)
-    for n in range(count):
-        # Inside, the distance to a tangent plane is no lower bound.
-        distances[where[n]] = max(block[_DISTANCE + n], -_HALF)
-
-
 @kernel(error_model="numpy")
-def _fill_distances(block, row):
-    # Distances deeper than half a cell are some value deeper than that.
+def fill_exact_distances(block, count, row, depth):
+    """Fill the distances of the first points of a block, good to the last bits; beyond `depth` some deeper value."""
+    # As in `tangent_planes`. The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share
+    # of the way out.
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16]
     log_a, log_b, log_c, cx, cy, cz = row[2], row[3], row[4], row[5], row[6], row[7]
     e1, e2 = row[0], row[1]
     smallest = exp(min(log_a, log_b, log_c)) * (1.0 if e1 <= 1.0 and e2 <= 1.0 else 0.57735)
-    for n in range(_ROOM):
-        dx, dy, dz = block[_X + n] - cx, block[_Y + n] - cy, block[_Z + n] - cz
+    for n in range(count):
+        dx, dy, dz = block[X + n] - cx, block[Y + n] - cy, block[Z + n] - cz
         px, py, pz = r0 * dx + r3 * dy + r6 * dz, r1 * dx + r4 * dy + r7 * dz, r2 * dx + r5 * dy + r8 * dz
         px = px if abs(px) > 1e-6 else 1e-6
         py = py if abs(py) > 1e-6 else 1e-6
@@ -135,7 +131,7 @@ def _fill_distances(block, row):
         outside = (1.0 - exp(-log_h)) / slope
         h = max(exp(log_h), 1e-200)
         best = (1.0 / h - 1.0) / slope
-        # The surface along the axes from a point inside (`quadric_lm.tangent_distance`).
+        # The surface along the axes from a point inside.
         whole = exp(2.0 / e1 * log_h)
         in_plane, along_z = share_r * whole, share_z * whole
         rest_z, rest_r = max(1.0 - in_plane, 1e-300), max(1.0 - along_z, 1e-300)
@@ -162,5 +158,5 @@ def _fill_distances(block, row):
         planar = reach * along / np.sqrt(gx * gx + gy * gy + gz * gz)
         best = planar if (reach < best * 4.0) & (planar < best) else best
         deep = (1.0 - h) * smallest
-        inside = -deep if deep > _HALF else -best
-        block[_DISTANCE + n] = outside if log_h >= 0.0 else inside
+        inside = -deep if deep > depth else -best
+        block[DISTANCE + n] = outside if log_h >= 0.0 else inside

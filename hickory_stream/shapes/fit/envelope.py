@@ -7,9 +7,9 @@ and most of the 26 ways do. The hole of a ring has only the ways in its plane; a
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.shapes.sdf import DistanceGrid
 
 _WAYS = 16
@@ -27,7 +27,7 @@ def filled(grid: DistanceGrid) -> DistanceGrid | None:
     is_inside = grid.values < 0
     # A way that crosses the surface has a cell within half a step of it, even where no cell is inside the wall.
     walls = np.stack([is_inside | (cells <= np.float32(reach)) for reach in _HALF_STEPS])
-    planes, ways = _blocked(walls, _DIRECTIONS)
+    planes, ways = _blocked(walls)
     is_filled = is_inside | (planes & (ways >= _WAYS))
     # A wall that lies between the cells counts as one cell thick.
     if is_filled.sum() < _HOLLOW * (is_inside | (cells <= 0.5)).sum():
@@ -43,40 +43,27 @@ def filled(grid: DistanceGrid) -> DistanceGrid | None:
     )
 
 
-@kernel
-def _blocked(walls, directions):
-    # Whether all lines of a plane are blocked both ways, and how many of the 26 ways are.
-    shape = walls.shape[1:]
-    size = shape[0] * shape[1] * shape[2]
-    lines, ways = np.zeros((size, 3), np.int8), np.zeros(size, np.int8)
-    for direction in directions:
+def _blocked(walls: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
+    # Whether all lines of a plane are blocked both ways, and how many of the 26 ways are; walls for ways across a face,
+    # an edge, a corner.
+    lines, ways = np.zeros((3, *walls.shape[1:]), np.int8), np.zeros(walls.shape[1:], np.int8)
+    for direction in _DIRECTIONS:
         is_wall = walls[np.abs(direction).sum() - 1]
-        ahead, behind = _met(is_wall, direction, True).ravel(), _met(is_wall, direction, False).ravel()
-        for n in range(size):
-            ways[n] += np.int8(ahead[n]) + np.int8(behind[n])
-            if ahead[n] and behind[n]:
-                for axis in range(3):
-                    lines[n, axis] += direction[axis] == 0
-    planes = np.zeros(size, np.bool_)
-    for n in range(size):
-        planes[n] = lines[n, 0] == 4 or lines[n, 1] == 4 or lines[n, 2] == 4
-    return planes.reshape(shape), ways.reshape(shape)
+        ahead, behind = _met(is_wall, direction), _met(is_wall, -direction)
+        ways += ahead
+        ways += behind
+        lines[direction == 0] += ahead & behind
+    return (lines == 4).any(axis=0), ways
 
 
-@kernel
-def _met(is_wall, direction, is_backward):
-    shape = is_wall.shape
-    met = np.zeros(shape, np.bool_)
-    sign = 1 if is_backward else -1
-    dx, dy, dz = sign * direction[0], sign * direction[1], sign * direction[2]
-    for a in range(shape[0]):
-        # The direction is the later one in lexical order, so that the cell before was seen to.
-        i = a if is_backward else shape[0] - 1 - a
-        for b in range(shape[1]):
-            j = b if is_backward else shape[1] - 1 - b
-            for c in range(shape[2]):
-                k = c if is_backward else shape[2] - 1 - c
-                x, y, z = i - dx, j - dy, k - dz
-                if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]:
-                    met[i, j, k] = is_wall[x, y, z] or met[x, y, z]
-    return met
+def _met(is_wall: NDArray[np.bool_], step: NDArray[np.int64]) -> NDArray[np.bool_]:
+    # Whether a wall lies anywhere back along a step: layer by layer along the first axis that it moves along.
+    axis = int(np.flatnonzero(step)[0])
+    is_met = np.zeros(is_wall.shape, np.bool_)
+    walls, met = (np.moveaxis(cells, axis, 0)[:: step[axis]] for cells in (is_wall, is_met))
+    shifts = list(zip(np.delete(step, axis).tolist(), met.shape[1:], strict=True))
+    to = tuple(slice(max(by, 0), size + min(by, 0)) for by, size in shifts)
+    source = tuple(slice(max(-by, 0), size + min(-by, 0)) for by, size in shifts)
+    for n in range(1, len(met)):
+        met[n][to] = (walls[n - 1] | met[n - 1])[source]
+    return is_met

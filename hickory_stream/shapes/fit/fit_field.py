@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.geometry.portable_kernels import exp, log
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import exp, exp_each, log
 from hickory_stream.shapes.connected import piece_around
 from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
-from hickory_stream.shapes.fit.quadric_lm import lm_fit
+from hickory_stream.shapes.fit.quadric_lm import refined
 from hickory_stream.shapes.fit.seeds import chessboard_depth
 from hickory_stream.shapes.fit.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block
-from hickory_stream.shapes.fit.thinning import share_of, thinned
+from hickory_stream.shapes.fit.thinning import GOLDEN, thinned
 from hickory_stream.shapes.sdf import DistanceGrid
 
 # A fit has eleven parameters.
@@ -32,6 +33,7 @@ class FitField:
         self._occupancies: dict[bytes, NDArray[np.float32]] = {}
         self._speaking: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
         self._band_cells: NDArray[np.int64] | None = None
+        self._workspace = (new_block(), np.empty((8, BLOCK)))
         self.volume = float(self._object.sum(dtype=np.float64))
 
     @property
@@ -57,7 +59,7 @@ class FitField:
     @property
     def max_log_axis(self) -> float:
         """The logarithm of the maximum semi-axis, in cells."""
-        return float(log(max(self._object.shape)))
+        return float(log(float(max(self._object.shape))))
 
     def unexplained(self) -> float:
         """Return the volume of the object that no primitive explains, in cells."""
@@ -106,94 +108,133 @@ class FitField:
 
     def gain(self, row: NDArray[np.float64], max_samples: int) -> float:
         """Return the explained volume that a primitive adds, less the penalty, by about `max_samples` cells."""
-        return float(_gain(self._object, self._covered, row, max_samples, self._waste_weight))
+        body, window = body_of(row), _window(row, 1.0, self._object.shape)
+        workspace = self._workspace
+        return float(_gain(self._object, self._covered, row, body, window, max_samples, self._waste_weight, *workspace))
 
     def fitted(self, row: NDArray[np.float64], max_samples: int, iterations: int) -> NDArray[np.float64]:
         """Return the primitive fitted to the unexplained volume in its neighbourhood."""
         if self._speaking is None:
             self._speaking = _speaking(self._distance, self._covered, self._band)
-        found = _fitted(
-            row, *self._speaking, self._distance, self._covered, self._band, max_samples, iterations, self.max_log_axis
+        cells, starts = self._speaking
+        near = np.empty(len(cells), np.int64)
+        near = near[
+            : _fill_near(cells, starts, _window(row, self._band + 2.0, self._object.shape), self._object.shape[1], near)
+        ]
+        near = near[thinned(len(near), max_samples)]
+        if len(near) < _FEWEST:
+            return row
+        at = tuple(cells[near].T)
+        found = refined(
+            row,
+            cells[near].astype(np.float64),
+            self._distance[at].astype(np.float64),
+            1.0 - self._covered[at].astype(np.float64),
+            band=self._band,
+            iterations=iterations,
+            max_log_axis=self.max_log_axis,
         )
-        return np.asarray(found)
+        return self._trimmed(found, 2 * max_samples)
+
+    def _trimmed(self, row: NDArray[np.float64], max_samples: int) -> NDArray[np.float64]:
+        # Beyond the grid nothing limits the growth of a thin primitive.
+        low, high = _window(row, 1.0, self._object.shape)
+        part = self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        found = np.flatnonzero(part < np.float32(0.5))
+        found = found[thinned(len(found), max_samples)]
+        line, k = np.divmod(found, part.shape[2])
+        i, j = np.divmod(line, part.shape[1])
+        cells = np.stack([i + low[0], j + low[1], k + low[2]], axis=1).astype(np.float64)
+        own = cells[distances_of(row, cells, np.inf) < 0.5]
+        if len(own) == 0:
+            return row
+        along = portable.matmul(row[8:17].reshape(3, 3).T, (own - row[5:8]).T)
+        half = exp_each(row[2:5])
+        first, last = np.maximum(along.min(axis=1) - 0.5, -half), np.minimum(along.max(axis=1) + 0.5, half)
+        out = row.copy()
+        out[2:5] = portable.log(np.maximum((last - first) / 2.0, 0.25))
+        out[5:8] += portable.matmul(row[8:17].reshape(3, 3), (first + last) / 2.0)
+        return out
+
+
+def _window(row: NDArray[np.float64], margin: float, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    # (2, 3) the first cells and the ends of a primitive's bounds and a margin.
+    window = np.empty((2, 3), np.int64)
+    _fill_window(row, margin, shape, window)
+    return window
 
 
 @kernel
-def _window(row, margin, shape):
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+def _fill_window(row, margin, shape, window):
     for i in range(3):
         reach = margin
         for j in range(3):
             reach += abs(row[8 + 3 * i + j]) * exp(row[2 + j])
-        low[i] = min(max(int(np.floor(row[5 + i] - reach)), 0), shape[i] - 1)
-        high[i] = min(max(int(np.ceil(row[5 + i] + reach)) + 1, low[i] + 1), shape[i])
-    return low, high
+        window[0, i] = min(max(int(np.floor(row[5 + i] - reach)), 0), shape[i] - 1)
+        window[1, i] = min(max(int(np.ceil(row[5 + i] + reach)) + 1, window[0, i] + 1), shape[i])
 
 
 @kernel
-def _gain(inside, covered, row, max_samples, waste_weight):
-    low, high = _window(row, 1.0, inside.shape)
-    stride = max((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]) // max_samples, 1) | 1
-    body = body_of(row)
-    block = new_block()
-    shares, befores = np.empty(BLOCK), np.empty(BLOCK)
-    total, count = 0.0, 0
-    # Cells, which of them their bounds are enough for, and what is known of them.
-    cells, bounds = np.empty((3, BLOCK)), np.empty(BLOCK)
-    own, known = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    size_y, size_z = high[1] - low[1], high[2] - low[2]
-    size = (high[0] - low[0]) * size_y * size_z
-    m, is_left = 0, True
+def _gain(inside, covered, row, body, window, max_samples, waste_weight, block, room):
+    # `room` (8, BLOCK): cells, their shares, and how far they are covered, of a round and of the block.
+    size_y, size_z = window[1, 1] - window[0, 1], window[1, 2] - window[0, 2]
+    size = (window[1, 0] - window[0, 0]) * size_y * size_z
+    stride = max(size // max_samples, 1) | 1
+    total, count, m, is_left = 0.0, np.int64(0), 0, True
     while is_left:
         num_cells = 0
         while num_cells < BLOCK and is_left:
             # One cell of each stride, at an offset that does not alias with the rows of the window.
-            n = m * stride + int(stride * share_of(m))
+            share = m * GOLDEN
+            n = m * stride + int(stride * (share - np.floor(share)))
             m += 1
             is_left = m * stride < size
             if n >= size:
                 break
             line = n // size_z
-            i, k = line // size_y, low[2] + n - line * size_z
-            j = low[1] + line - i * size_y
-            i += low[0]
+            i, k = line // size_y, window[0, 2] + n - line * size_z
+            j = window[0, 1] + line - i * size_y
+            i += window[0, 0]
             if covered[i, j, k] >= 1.0:
                 continue
-            cells[0, num_cells], cells[1, num_cells], cells[2, num_cells] = i, j, k
-            own[num_cells], known[num_cells] = inside[i, j, k], covered[i, j, k]
+            room[0, num_cells], room[1, num_cells], room[2, num_cells] = i, j, k
+            room[3, num_cells], room[4, num_cells] = inside[i, j, k], covered[i, j, k]
             num_cells += 1
         for n in range(num_cells):
-            bounds[n] = distance_bound(body, cells[0, n], cells[1, n], cells[2, n])
+            room[5, n] = distance_bound(body, room[0, n], room[1, n], room[2, n])
         for n in range(num_cells):
-            if abs(bounds[n]) > 0.5:
-                total += _gain_of(bounds[n], own[n], known[n], waste_weight)
+            own, known = room[3, n], room[4, n]
+            if abs(room[5, n]) > 0.5:
+                # In the precision of the cover.
+                over = np.float64(np.float32(known) - np.float32(own))
+                total += _gain_of(room[5, n], own, known, over, waste_weight)
                 continue
-            block[X + count], block[Y + count], block[Z + count] = cells[0, n], cells[1, n], cells[2, n]
-            shares[count], befores[count] = own[n], known[n]
+            block[X + count], block[Y + count], block[Z + count] = room[0, n], room[1, n], room[2, n]
+            room[6, count], room[7, count] = own, known
             count += 1
             if count == BLOCK:
-                total += _gain_of_block(block, count, row, shares, befores, waste_weight)
-                count = 0
-    total += _gain_of_block(block, count, row, shares, befores, waste_weight)
+                total += _gain_of_block(block, count, row, room, waste_weight)
+                count = np.int64(0)
+    if count > 0:
+        total += _gain_of_block(block, count, row, room, waste_weight)
     return total * stride
 
 
 @kernel
-def _gain_of_block(block, count, row, shares, befores, waste_weight):
-    if count == 0:
-        return 0.0
+def _gain_of_block(block, count, row, room, waste_weight):
     fill_distances(block, count, row, 0.5)
     total = 0.0
     for n in range(count):
-        total += _gain_of(block[DISTANCE + n], shares[n], befores[n], waste_weight)
+        own, known = room[6, n], room[7, n]
+        total += _gain_of(block[DISTANCE + n], own, known, known - own, waste_weight)
     return total
 
 
 @kernel
-def _gain_of(d, share, before, waste_weight):
+def _gain_of(d, share, before, over, waste_weight):
     after = max(occupancy(d), before)
     more = min(after, share) - min(before, share)
-    return more - waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
+    return more - waste_weight * (max(after - share, 0.0) - max(over, 0.0))
 
 
 @kernel
@@ -216,65 +257,13 @@ def _speaking(distance, covered, band):
 
 
 @kernel
-def _fitted(row, speaking, starts, distance, covered, band, max_samples, iterations, max_log_axis):
-    low, high = _window(row, band + 2.0, distance.shape)
-    near = np.empty(len(speaking), np.int64)
+def _fill_near(cells, starts, window, size_y, near):
+    # Which cells lie in the window; returns their number.
     count = 0
-    for i in range(low[0], high[0]):
-        for j in range(low[1], high[1]):
-            line = i * distance.shape[1] + j
-            for n in range(starts[line], starts[line + 1]):
-                if low[2] <= speaking[n, 2] < high[2]:
+    for i in range(window[0, 0], window[1, 0]):
+        for j in range(window[0, 1], window[1, 1]):
+            for n in range(starts[i * size_y + j], starts[i * size_y + j + 1]):
+                if window[0, 2] <= cells[n, 2] < window[1, 2]:
                     near[count] = n
                     count += 1
-    chosen = thinned(count, max_samples)
-    count = len(chosen)
-    if count < _FEWEST:
-        return row
-    points, distances, weights = np.empty((count, 3)), np.empty(count), np.empty(count)
-    for n in range(count):
-        i, j, k = speaking[near[chosen[n]]]
-        points[n, 0], points[n, 1], points[n, 2] = i, j, k
-        distances[n] = distance[i, j, k]
-        weights[n] = 1.0 - np.float64(covered[i, j, k])
-    return _trimmed(lm_fit(row, points, distances, weights, band, iterations, max_log_axis), distance, 2 * max_samples)
-
-
-@kernel
-def _trimmed(row, distance, max_samples):
-    # Beyond the grid nothing limits the growth of a thin primitive.
-    low, high = _window(row, 1.0, distance.shape)
-    found = np.empty(((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]), 3), np.int64)
-    count = 0
-    for i in range(low[0], high[0]):
-        for j in range(low[1], high[1]):
-            for k in range(low[2], high[2]):
-                if distance[i, j, k] < np.float32(0.5):
-                    found[count, 0], found[count, 1], found[count, 2] = i, j, k
-                    count += 1
-    chosen = thinned(count, max_samples)
-    cells = np.empty((len(chosen), 3))
-    for n in range(len(chosen)):
-        for axis in range(3):
-            cells[n, axis] = found[chosen[n], axis]
-    own = distances_of(row, cells, np.inf)
-    first, last = np.full(3, np.inf), np.full(3, -np.inf)
-    for n in range(len(cells)):
-        if own[n] < 0.5:
-            x, y, z = cells[n, 0] - row[5], cells[n, 1] - row[6], cells[n, 2] - row[7]
-            for axis in range(3):
-                along = x * row[8 + axis] + y * row[11 + axis] + z * row[14 + axis]
-                first[axis], last[axis] = min(first[axis], along), max(last[axis], along)
-    if first[0] > last[0]:
-        return row
-    out = row.copy()
-    for axis in range(3):
-        half = exp(row[2 + axis])
-        first[axis], last[axis] = max(first[axis] - 0.5, -half), min(last[axis] + 0.5, half)
-        out[2 + axis] = log(max((last[axis] - first[axis]) / 2.0, 0.25))
-    for i in range(3):
-        shift = 0.0
-        for axis in range(3):
-            shift += row[8 + 3 * i + axis] * ((first[axis] + last[axis]) / 2.0)
-        out[5 + i] = row[5 + i] + shift
-    return out
+    return count

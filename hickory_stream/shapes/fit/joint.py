@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import exp_each
-from hickory_stream.shapes.fit.quadric_lm import OUTER_BAND, cut_distances, normal_step
+from hickory_stream.shapes.fit.quadric_lm import OUTER_BAND, ROW, cut_distances, new_workspace, normal_step
 from hickory_stream.shapes.fit.thinning import thinned
 
 # The exponents of the simple shapes, and the number of distinct cyclic orders of their axes: one for a box.
@@ -35,7 +35,25 @@ def jointly_refined(
 ) -> NDArray[np.float64]:
     """Return the (K, 17) rows that fit (N,) signed distances at (N, 3) points best as a union, in units of cells."""
     targets = np.clip(distances, -band, OUTER_BAND)
-    return np.asarray(_swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents))
+    rows, workspace = rows.copy(), new_workspace(len(points))
+    found = [cut_distances(row, points, band) for row in rows]
+    damping, resting = [1e-3] * len(rows), [0] * len(rows)
+    for _ in range(sweeps):
+        for k in range(len(rows)):
+            if resting[k] > 1:
+                continue
+            others = np.full(len(points), OUTER_BAND)
+            for other in found[:k] + found[k + 1 :]:
+                np.minimum(others, other, out=others)
+            row, again = np.empty(ROW), np.empty(len(points))
+            gain, damping[k] = normal_step(
+                rows[k], points, targets, others, found[k], band, damping[k], 0 if with_exponents else 2, max_log_axis,
+                row, again, *workspace,
+            )  # fmt: skip
+            if gain > 0.0:
+                rows[k], found[k] = row, again
+            resting[k] = 0 if gain > 1e-3 else resting[k] + 1
+    return rows
 
 
 def refined_beside(
@@ -50,13 +68,13 @@ def refined_beside(
     max_samples: int,
 ) -> NDArray[np.float64]:
     """Return the (17,) row refined with the (K, 17) `others` held fixed, on about `max_samples` samples around it."""
-    near = np.flatnonzero(_near(row, points, band))
+    near = _near(row, points, band)
     if len(near) < 30:
         return row
     near = near[thinned(len(near), max_samples)]
     own, goal = points[near], np.clip(distances[near], -band, OUTER_BAND)
     beside = _union(others, own, band)
-    return np.asarray(_stepped_beside(row, own, goal, beside, band, steps, max_log_axis, True)[0])
+    return _stepped_beside(row, own, goal, beside, band, steps, max_log_axis, num_held=0)[0]
 
 
 def simplified(
@@ -77,19 +95,21 @@ def simplified(
     targets = np.clip(distances, -band, OUTER_BAND)
     rows = rows.copy()
     for k in range(len(rows)):
-        near = np.flatnonzero(_near(rows[k], points, band))
+        near = _near(rows[k], points, band)
         if len(near) < 30:
             continue
         near = near[thinned(len(near), per_primitive)]
         own, goal = points[near], targets[near]
         beside = np.delete(rows, k, axis=0)
         others = _union(beside, own, band)
-        before = _misfit(np.minimum(others, cut_distances(rows[k], own, band)), goal, band)
+        before = _misfit(np.minimum(others, cut_distances(rows[k], own, band)), goal)
         best, least = rows[k], before + tolerance
         # A few steps show which shapes are promising; only these are fitted to convergence.
-        tried = [_stepped_beside(row, own, goal, others, band, 2, max_log_axis, False) for row in _simple_rows(rows[k])]
-        for first, _ in sorted(tried, key=lambda one: float(one[1]))[:_FINALISTS]:
-            trial, misfit = _stepped_beside(first, own, goal, others, band, sweeps - 2, max_log_axis, False)
+        tried = [
+            _stepped_beside(row, own, goal, others, band, 2, max_log_axis, num_held=2) for row in _simple_rows(rows[k])
+        ]
+        for first, _ in sorted(tried, key=lambda one: one[1])[:_FINALISTS]:
+            trial, misfit = _stepped_beside(first, own, goal, others, band, sweeps - 2, max_log_axis, num_held=2)
             # A primitive that moves outside of the samples around it cannot be judged.
             if misfit < least and _stays(trial, rows[k]):
                 best, least = trial, misfit
@@ -123,74 +143,56 @@ def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
     return out
 
 
-@kernel
-def _near(row, points, band):
+def _near(row: NDArray[np.float64], points: NDArray[np.float64], band: float) -> NDArray[np.int64]:
     out = np.empty(len(points), np.bool_)
-    reach = exp_each(row[2:5]) + band + 1.0
+    _mark_near(row, points, *(exp_each(row[2:5]) + band + 1.0).tolist(), out)
+    return np.flatnonzero(out)
+
+
+@kernel
+def _mark_near(row, points, reach_x, reach_y, reach_z, out):
     for n in range(len(points)):
         dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
         out[n] = (
-            abs(row[8] * dx + row[11] * dy + row[14] * dz) < reach[0]
-            and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach[1]
-            and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach[2]
+            abs(row[8] * dx + row[11] * dy + row[14] * dz) < reach_x
+            and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach_y
+            and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach_z
         )
-    return out
 
 
-@kernel
-def _union(rows, points, band):
+def _union(rows: NDArray[np.float64], points: NDArray[np.float64], band: float) -> NDArray[np.float64]:
     out = np.full(len(points), OUTER_BAND)
-    for k in range(len(rows)):
-        out = np.minimum(out, cut_distances(rows[k], points, band))
+    for row in rows:
+        np.minimum(out, cut_distances(row, points, band), out=out)
     return out
 
 
-@kernel
-def _misfit(found, targets, band):
-    total = 0.0
-    for n in range(len(found)):
-        r = found[n] - targets[n]
-        total += r * r
-    return np.sqrt(total / max(len(found), 1))
+def _misfit(found: NDArray[np.float64], targets: NDArray[np.float64]) -> float:
+    off = found - targets
+    return float(np.sqrt(portable.dot(off, off) / max(len(off), 1)))
 
 
-@kernel
-def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):
-    rows = rows.copy()
-    count = len(rows)
-    distances = np.empty((count, len(points)))
-    for k in range(count):
-        distances[k] = cut_distances(rows[k], points, band)
-    damping = np.full(count, 1e-3)
-    resting = np.zeros(count, np.int64)
-    others = np.empty(len(points))
-    for _ in range(sweeps):
-        for k in range(count):
-            if resting[k] > 1:
-                continue
-            others[:] = OUTER_BAND
-            for j in range(count):
-                if j != k:
-                    for n in range(len(points)):
-                        others[n] = min(others[n], distances[j, n])
-            row, found, gain = normal_step(
-                rows[k], points, targets, others, distances[k], band, damping, k, max_log_axis, with_exponents
-            )
-            if gain > 0.0:
-                rows[k] = row
-                distances[k] = found
-            resting[k] = 0 if gain > 1e-3 else resting[k] + 1
-    return rows
-
-
-@kernel
-def _stepped_beside(row, points, targets, others, band, steps, max_log_axis, with_exponents):
-    damping = np.full(1, 1e-3)
+def _stepped_beside(
+    row: NDArray[np.float64],
+    points: NDArray[np.float64],
+    targets: NDArray[np.float64],
+    others: NDArray[np.float64],
+    band: float,
+    steps: int,
+    max_log_axis: float,
+    *,
+    num_held: int,
+) -> tuple[NDArray[np.float64], float]:
+    # The row after some steps, and its misfit.
+    damping, workspace = 1e-3, new_workspace(len(points))
     found = cut_distances(row, points, band)
     for _ in range(steps):
-        row, found, gain = normal_step(
-            row, points, targets, others, found, band, damping, 0, max_log_axis, with_exponents
+        trial, again = np.empty(ROW), np.empty(len(points))
+        gain, damping = normal_step(
+            row, points, targets, others, found, band, damping, num_held, max_log_axis, trial, again, *workspace
         )
+        if gain > 0.0:
+            row, found = trial, again
         if gain < 1e-3:
             break
-    return row, _misfit(np.minimum(others, found), targets, band)
+    return row, _misfit(np.minimum(others, found), targets)

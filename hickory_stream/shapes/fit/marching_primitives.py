@@ -315,16 +315,15 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     """Return starts from the largest components of the unexplained volume, and from boxes grown in deep cells."""
     left = field.left
     first_cell, left = _cropped(left)
-    labels, sizes, bounds = pieces_of(left)
-    count = len(sizes) - 1
-    if count == 0:
+    labels, sizes, windows = pieces_of(left)
+    if len(sizes) == 0:
         return []
     starts = []
     depth = chessboard_depth(left)
-    for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
-        window = tuple(slice(start, stop) for start, stop in bounds[label].T)
-        first = bounds[label, 0] + first_cell
-        mine = labels[window] == label
+    for n in np.argsort(-sizes, kind="stable")[:num_seeds]:
+        window = windows[n]
+        first = np.array([side.start for side in window]) + first_cell
+        mine = labels[window] == n + 1
         starts += _component_starts(np.argwhere(mine) + first)
         depth_here = depth[window] * mine
         for _ in range(SEEDS_PER_COMPONENT):

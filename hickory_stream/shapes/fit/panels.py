@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import diagonalise
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, moved, volumes_m3
 from hickory_stream.shapes.connected import joined_faces
@@ -175,31 +173,12 @@ def _is_bent(extents: NDArray[np.float64], thickness: float) -> bool:
 
 def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # Larger by the thickness, so that the two sides of a panel are not worth a box each; the longest axis last.
-    extents, axes = _principal_box(np.ascontiguousarray(corners).reshape(-1, 3))
-    return extents + thickness, axes
-
-
-@kernel(error_model="numpy")
-def _principal_box(points):
-    middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
-    for n in range(len(points)):
-        for i in range(3):
-            middle[i] += points[n, i]
-    middle /= len(points)
-    for n in range(len(points)):
-        x, y, z = points[n, 0] - middle[0], points[n, 1] - middle[1], points[n, 2] - middle[2]
-        off = (x, y, z)
-        for i in range(3):
-            for j in range(3):
-                products[i, j] += off[i] * off[j]
-    diagonalise(products, axes)
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for n in range(len(points)):
-        x, y, z = points[n, 0] - middle[0], points[n, 1] - middle[1], points[n, 2] - middle[2]
-        for i in range(3):
-            along = x * axes[0, i] + y * axes[1, i] + z * axes[2, i]
-            low[i], high[i] = min(low[i], along), max(high[i], along)
-    return high - low, axes
+    points = corners.reshape(-1, 3)
+    # NumPy is slow along short rows.
+    off = (points - portable.matmul(np.ones(len(points)), points) / len(points)).T.copy()
+    axes = portable.eigh(portable.matmul(off, off.T))[1]
+    along = portable.matmul(axes.T, off)
+    return along.max(axis=1) - along.min(axis=1) + thickness, axes
 
 
 def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_Part]:
@@ -315,13 +294,13 @@ def with_thin_parts(
     """
     rows = rows_in(primitives, step_m, np.zeros(3))
     points, pieces, _, distances = owned_pieces(vertices / step_m, faces.astype(np.int64), rows, _OUTSIDE, _PIECE)
-    pieces = pieces[distances > _OUTSIDE].astype(np.int32)
-    if len(pieces) == 0 or len(primitives) >= most:
+    out = pieces[distances > _OUTSIDE].astype(np.int32)
+    if len(out) == 0 or len(primitives) >= most:
         return primitives
     total = float(areas_of(vertices[faces]).sum())
     found = []
     for panel, area_m2 in loose_panels(
-        points * step_m, pieces, least_area=least_area * total, min_size_m=0.1 * step_m, thin_m=_THIN * step_m
+        points * step_m, out, least_area=least_area * total, min_size_m=0.1 * step_m, thin_m=_THIN * step_m
     ):
         sides = 2 * panel.semi_axes_m[0]
         around = 2 * (sides[0] * sides[1] + sides[1] * sides[2] + sides[2] * sides[0])

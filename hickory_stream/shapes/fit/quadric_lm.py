@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import cos, exp, exp_each, log, sin, solve_in_place, times_3
+from hickory_stream.geometry.portable_kernels import cos, exp, log, sin, solve_in_place
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
@@ -24,7 +24,7 @@ from hickory_stream.shapes.fit.tangent_planes import (
     X,
     Y,
     Z,
-    distances_of,
+    fill_all_distances,
     fill_distances,
     fill_jacobian,
     new_block,
@@ -77,253 +77,150 @@ def refined(
 
     `weights` (N,) are 0 where another primitive explains the object. The unit is a cell.
     """
-    return np.asarray(lm_fit(row, points, distances, weights, band, iterations, max_log_axis))
-
-
-@kernel
-def tangent_distance(row, x, y, z, local, gradient, shape, with_shape, depth):
-    """Return the signed distance of a point to a tangent plane near it; fill local point and derivatives."""
-    # Of ln h: `gradient` (3,), and `shape` (5,) by e1, e2, ln a1..a3. A convex body lies behind its tangent planes: the
-    # distance to one bounds the true distance from below outside, from above inside. Outside, the plane touches on the
-    # ray from the centre; inside it is the nearest of that plane and of those met along the three axes, since the first
-    # alone would place the rim of a plate nearer than its faces. Beyond `depth`, some deeper value is returned, and
-    # nothing is filled.
-    dx, dy, dz = x - row[5], y - row[6], z - row[7]
-    # The columns of the rotation are the local axes.
-    px = row[8] * dx + row[11] * dy + row[14] * dz
-    py = row[9] * dx + row[12] * dy + row[15] * dz
-    pz = row[10] * dx + row[13] * dy + row[16] * dz
-    px = px if abs(px) > 1e-6 else 1e-6
-    py = py if abs(py) > 1e-6 else 1e-6
-    pz = pz if abs(pz) > 1e-6 else 1e-6
-    log_x, log_y, log_z = log(abs(px)) - row[2], log(abs(py)) - row[3], log(abs(pz)) - row[4]
-    # ln of the gauge in the xy plane, and of all three: the shares are the softmax weights of the nested sums.
-    log_rho, share_x, share_y = _softmax(log_x, log_y, row[1])
-    log_h, share_r, share_z = _softmax(log_rho, log_z, row[0])
-    local[0], local[1], local[2] = px, py, pz
-    gradient[0], gradient[1], gradient[2] = share_r * share_x / px, share_r * share_y / py, share_z / pz
-    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    if log_h >= 0.0:
-        if with_shape:
-            _fill_shape(share_x, share_y, share_r, share_z, shape)
-        return (1.0 - exp(-log_h)) / slope
-    h = max(exp(log_h), 1e-200)
-    # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
-    smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
-    if (1.0 - h) * smallest > depth:
-        return -(1.0 - h) * smallest
-    best = (1.0 / h - 1.0) / slope
-    axis, reach, foot_x, foot_y, foot_r, foot_z = _nearest_along_axes(
-        row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z
-    )
-    if reach < best * 4.0:
-        sx = px + (reach if px > 0.0 else -reach) * (axis == 0)
-        sy = py + (reach if py > 0.0 else -reach) * (axis == 1)
-        sz = pz + (reach if pz > 0.0 else -reach) * (axis == 2)
-        gx, gy, gz = foot_r * foot_x / sx, foot_r * foot_y / sy, foot_z / sz
-        along = gx if axis == 0 else (gy if axis == 1 else gz)
-        planar = reach * abs(along) / np.sqrt(gx * gx + gy * gy + gz * gz)
-        if planar < best:
-            best = planar
-            gradient[0], gradient[1], gradient[2] = gx, gy, gz
-            share_x, share_y, share_r, share_z = foot_x, foot_y, foot_r, foot_z
-    if with_shape:
-        _fill_shape(share_x, share_y, share_r, share_z, shape)
-    return -best
-
-
-@kernel
-def _softmax(log_a, log_b, exponent):
-    # ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum, without overflow.
-    gap = 2.0 / exponent * (log_b - log_a)
-    small = exp(-abs(gap))
-    total = 1.0 + small
-    log_sum = max(log_a, log_b) + 0.5 * exponent * log(total)
-    large = 1.0 / total
-    return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
-
-
-@kernel
-def _fill_shape(share_x, share_y, share_r, share_z, shape):
-    # d ln h / d (e1, e2, ln a1, ln a2, ln a3).
-    shape[0] = 0.5 * _entropy(share_r, share_z)
-    shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
-    shape[2] = -share_r * share_x
-    shape[3] = -share_r * share_y
-    shape[4] = -share_z
-
-
-@kernel
-def _entropy(p, q):
-    return -(p * log(max(p, 1e-300)) + q * log(max(q, 1e-300)))
-
-
-@kernel
-def _nearest_along_axes(row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z):
-    e1, e2 = row[0], row[1]
-    whole = exp(2.0 / e1 * log_h)
-    in_plane, along_z = share_r * whole, share_z * whole
-    rest_z, rest_r = max(1.0 - in_plane, 1e-300), max(1.0 - along_z, 1e-300)
-    best_axis, best = 2, exp(row[4] + 0.5 * e1 * log(rest_z)) - abs(pz)
-    # ln of the largest gauge in the plane at this height, and what the point's own is of it.
-    log_most = 0.5 * e1 * log(rest_r)
-    own = exp(min(2.0 / e2 * (log_rho - log_most), 0.0))
-    rest_x, rest_y = max(1.0 - share_y * own, 1e-300), max(1.0 - share_x * own, 1e-300)
-    reach_x = exp(row[2] + log_most + 0.5 * e2 * log(rest_x)) - abs(px)
-    reach_y = exp(row[3] + log_most + 0.5 * e2 * log(rest_y)) - abs(py)
-    if reach_x < best:
-        best_axis, best = 0, reach_x
-    if reach_y < best:
-        best_axis, best = 1, reach_y
-    best = max(best, 0.0)
-    if best_axis == 2:
-        return best_axis, best, share_x, share_y, in_plane, rest_z
-    if best_axis == 0:
-        return best_axis, best, rest_x, 1.0 - rest_x, rest_r, along_z
-    return best_axis, best, 1.0 - rest_y, rest_y, rest_r, along_z
-
-
-@kernel
-def _cost(d, targets, weights, band, sigma2):
-    # The negative log likelihood of the mixture, up to constants.
-    total = 0.0
-    for n in range(len(d)):
-        r = min(max(d[n], -band), OUTER_BAND) - targets[n]
-        if r > 0.0:
-            total -= weights[n] * 2.0 * sigma2 * log((exp(-0.5 * r * r / sigma2) + OUTLIER) / (1.0 + OUTLIER))
-        else:
-            total += weights[n] * r * r
-    return total
-
-
-@kernel
-def _normal_equations(row, points, targets, weights, band, sigma2):
-    a, b = np.zeros((11, _PADDED)), np.zeros(11)
-    block, which = new_block(), np.empty(BLOCK, np.int64)
-    own, residuals = np.empty(BLOCK), np.empty(BLOCK)
-    for first in range(0, len(points), BLOCK):
-        count = min(BLOCK, len(points) - first)
-        for n in range(count):
-            block[X + n], block[Y + n], block[Z + n] = points[first + n, 0], points[first + n, 1], points[first + n, 2]
-        fill_distances(block, count, row, band)
-        fill_jacobian(block)
-        num_added = 0
-        for n in range(count):
-            d = block[DISTANCE + n]
-            if d > OUTER_BAND or d < -band:
-                continue
-            r = d - targets[first + n]
-            w = weights[first + n]
-            if r > 0.0:
-                gauss = exp(-0.5 * r * r / sigma2)
-                w *= gauss / (gauss + OUTLIER)
-            which[num_added], own[num_added], residuals[num_added] = n, w, r
-            num_added += 1
-        _add(a, b, block, which, own, residuals, num_added)
-    return a[:, :11].copy(), b
-
-
-@kernel
-def _add(a, b, block, which, weights, residuals, count):
-    # Rows are padded to a length that fits registers.
-    jacobian = np.zeros(_PADDED)
-    for m in range(count):
-        for p in range(11):
-            jacobian[p] = block[JACOBIAN + p * BLOCK + which[m]]
-        for p in range(11):
-            wj = weights[m] * jacobian[p]
-            b[p] -= wj * residuals[m]
-            for q in range(_PADDED):
-                a[p, q] += wj * jacobian[q]
-
-
-@kernel
-def _stepped(row, step, max_log_axis):
     out = row.copy()
-    for p in range(2):
-        out[p] = min(max(row[p] + min(max(step[p], -0.4), 0.4), 0.1), 2.0)
-    for p in range(3):
-        # No thinner than half a cell across, no longer than the object.
-        out[2 + p] = min(max(row[2 + p] + min(max(step[2 + p], -0.5), 0.5), -1.4), max_log_axis)
-    rotation = np.ascontiguousarray(row[8:17]).reshape(3, 3)
-    for i in range(3):
-        out[5 + i] += rotation[i, 0] * step[5] + rotation[i, 1] * step[6] + rotation[i, 2] * step[7]
-    angle = np.sqrt(step[8] ** 2 + step[9] ** 2 + step[10] ** 2)
-    if angle > 1e-12:
-        x, y, z = step[8] / angle, step[9] / angle, step[10] / angle
-        turn = min(angle, 0.5)
-        s, c = sin(turn), 1.0 - cos(turn)
-        k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        rotation = times_3(rotation, np.eye(3) + s * k + c * times_3(k, k))
-        out[8:17] = rotation.ravel()
+    targets = np.clip(distances, -band, OUTER_BAND)
+    workspace = (np.empty(len(points)), np.empty(ROW), *new_workspace(len(points)))
+    _fit(out, points, targets, weights, band, iterations, max_log_axis, *workspace)
     return out
 
 
-@kernel
-def _sigma2(d, targets, weights, band, sigma2):
-    # The maximisation step of the mixture's variance; never below half a cell squared.
-    total, count = 0.0, 0.0
+def cut_distances(row: NDArray[np.float64], points: NDArray[np.float64], band: float) -> NDArray[np.float64]:
+    """Return the (N,) distances to a primitive, truncated at the band; points outside its box are skipped."""
+    out = np.empty(len(points))
+    _fill_cut_distances(row, points, band, new_block(), out)
+    return out
+
+
+def new_workspace(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a block, and room for the weights and residuals of (N,) points and for the equations of a step."""
+    return new_block(), np.empty((2, count)), np.empty((2, 11, _PADDED))
+
+
+@kernel(error_model="numpy")
+def _judge(d, targets, weights, band, sigma2, own):
+    # Returns the negative log likelihood of the mixture, up to constants, and its variance by the maximisation step;
+    # fills the weights, 0 beyond the band, and residuals.
+    cost, total, count = 0.0, 0.0, 0.0
     for n in range(len(d)):
         r = min(max(d[n], -band), OUTER_BAND) - targets[n]
         w = weights[n]
         if r > 0.0:
             gauss = exp(-0.5 * r * r / sigma2)
+            cost -= w * 2.0 * sigma2 * log((gauss + OUTLIER) / (1.0 + OUTLIER))
             w *= gauss / (gauss + OUTLIER)
+        else:
+            cost += w * r * r
         total += w * r * r
         count += w
-    return max(total / max(count, 1e-9), 0.25)
+        own[0, n], own[1, n] = w if -band <= d[n] <= OUTER_BAND else 0.0, r
+    # Never below half a cell squared.
+    return cost, max(total / max(count, 1e-9), 0.25)
 
 
 @kernel
-def lm_fit(row, points, distances, weights, band, iterations, max_log_axis):
-    """Return what `refined` does."""
-    targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
-    d = distances_of(row, points, band)
-    sigma2 = _sigma2(d, targets, weights, band, band * band)
-    cost = _cost(d, targets, weights, band, sigma2)
+def _fill_equations(row, points, own, band, num_held, block, equations):
+    # Of the points with a weight; the last column is the right side. Rows are padded to a length that fits registers.
+    count = np.int64(0)
+    jacobian = equations[1, 0]
+    for p in range(11):
+        for q in range(_PADDED):
+            equations[0, p, q] = 0.0
+    first = np.int64(0)
+    for n in range(len(points)):
+        if own[0, n] != 0.0:
+            block[X + count], block[Y + count], block[Z + count] = points[n, 0], points[n, 1], points[n, 2]
+            count += 1
+        if count == BLOCK or (n == len(points) - 1 and count > 0):
+            fill_distances(block, count, row, band)
+            fill_jacobian(block)
+            m = 0
+            while m < count:
+                weight, residual = own[0, first], own[1, first]
+                first += 1
+                if weight == 0.0:
+                    continue
+                for p in range(11):
+                    jacobian[p] = block[JACOBIAN + p * BLOCK + m] if p >= num_held else 0.0
+                jacobian[11] = residual
+                for p in range(11):
+                    share = weight * jacobian[p]
+                    for q in range(_PADDED):
+                        equations[0, p, q] += share * jacobian[q]
+                m += 1
+            count = np.int64(0)
+
+
+@kernel(error_model="numpy")
+def _step(row, equations, damping, max_log_axis, out):
+    lhs, step = equations[1], np.empty(11)
+    for p in range(11):
+        for q in range(11):
+            lhs[p, q] = equations[0, p, q]
+        lhs[p, p] += damping * lhs[p, p] + 1e-6 * (equations[0, 0, 0] + equations[0, 5, 5] + 1.0)
+        step[p] = -equations[0, p, 11]
+    solve_in_place(lhs, step)
+    for p in range(17):
+        out[p] = row[p]
+    for p in range(2):
+        out[p] = min(max(row[p] + min(max(step[p], -0.4), 0.4), 0.1), 2.0)
+        # No thinner than half a cell across, no longer than the object.
+    for p in range(2, 5):
+        out[p] = min(max(row[p] + min(max(step[p], -0.5), 0.5), -1.4), max_log_axis)
+    for i in range(3):
+        out[5 + i] += row[8 + 3 * i] * step[5] + row[9 + 3 * i] * step[6] + row[10 + 3 * i] * step[7]
+    angle = np.sqrt(step[8] * step[8] + step[9] * step[9] + step[10] * step[10])
+    if angle > 1e-12:
+        x, y, z = step[8] / angle, step[9] / angle, step[10] / angle
+        turn = min(angle, 0.5)
+        s, c = sin(turn), 1.0 - cos(turn)
+        for i in range(3):
+            # Rodrigues' formula.
+            u, v, w = row[8 + 3 * i], row[9 + 3 * i], row[10 + 3 * i]
+            out[8 + 3 * i] = u * (1.0 + c * (-z * z - y * y)) + v * (s * z + c * (x * y)) + w * (c * (x * z) - s * y)
+            out[9 + 3 * i] = u * (c * (x * y) - s * z) + v * (1.0 + c * (-z * z - x * x)) + w * (s * x + c * (y * z))
+            out[10 + 3 * i] = u * (s * y + c * (x * z)) + v * (c * (y * z) - s * x) + w * (1.0 + c * (-y * y - x * x))
+
+
+@kernel
+def _fit(row, points, targets, weights, band, iterations, max_log_axis, d, candidate, block, own, equations):
+    # What `refined` does, in place.
+    none_held = np.int64(0)
+    fill_all_distances(row, points, band, block, d)
+    cost, sigma2 = _judge(d, targets, weights, band, band * band, own)
+    cost, better = _judge(d, targets, weights, band, sigma2, own)
     damping = 1e-3
     for _ in range(iterations):
-        a, b = _normal_equations(row, points, targets, weights, band, sigma2)
+        _fill_equations(row, points, own, band, none_held, block, equations)
         gain = 0.0
         for _ in range(4):
-            lhs = a.copy()
-            for p in range(11):
-                lhs[p, p] += damping * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
-            step = b.copy()
-            solve_in_place(lhs, step)
-            candidate = _stepped(row, step, max_log_axis)
-            d = distances_of(candidate, points, band)
-            new_cost = _cost(d, targets, weights, band, sigma2)
+            _step(row, equations, damping, max_log_axis, candidate)
+            fill_all_distances(candidate, points, band, block, d)
+            new_cost, better = _judge(d, targets, weights, band, sigma2, own)
             if new_cost < cost:
                 gain = (cost - new_cost) / max(cost, 1e-12)
-                row, damping = candidate, max(damping * 0.3, 1e-6)
+                damping = max(damping * 0.3, 1e-6)
+                for p in range(17):
+                    row[p] = candidate[p]
                 break
             damping = min(damping * 8.0, 1e6)
         if gain < 1e-3:
             break
-        sigma2 = min(sigma2, _sigma2(d, targets, weights, band, sigma2))
-        cost = _cost(d, targets, weights, band, sigma2)
-    return row
+        sigma2 = min(sigma2, better)
+        cost, better = _judge(d, targets, weights, band, sigma2, own)
 
 
 @kernel
-def _loss(r):
-    return r * r if r <= _HUBER else _HUBER * (2.0 * r - _HUBER)
-
-
-@kernel
-def cut_distances(row, points, band):
-    """Return the (N,) distances to a primitive, truncated at the band; points outside its box are skipped."""
-    out = np.full(len(points), OUTER_BAND)
-    reach = exp_each(row[2:5]) + OUTER_BAND
-    block, which = new_block(), np.empty(BLOCK, np.int64)
-    count = 0
+def _fill_cut_distances(row, points, band, block, out):
+    reach_x, reach_y, reach_z = exp(row[2]) + OUTER_BAND, exp(row[3]) + OUTER_BAND, exp(row[4]) + OUTER_BAND
+    which = np.empty(BLOCK, np.int64)
+    count = np.int64(0)
     for n in range(len(points)):
+        out[n] = OUTER_BAND
         dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
         if (
-            abs(row[8] * dx + row[11] * dy + row[14] * dz) < reach[0]
-            and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach[1]
-            and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach[2]
+            abs(row[8] * dx + row[11] * dy + row[14] * dz) < reach_x
+            and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach_y
+            and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach_z
         ):
             block[X + count], block[Y + count], block[Z + count] = points[n, 0], points[n, 1], points[n, 2]
             which[count] = n
@@ -332,49 +229,38 @@ def cut_distances(row, points, band):
             fill_distances(block, count, row, band)
             for m in range(count):
                 out[which[m]] = min(max(block[DISTANCE + m], -band), OUTER_BAND)
-            count = 0
-    return out
+            count = np.int64(0)
 
 
 @kernel
-def normal_step(row, points, targets, others, found, band, damping, k, max_log_axis, with_exponents):
-    """Return the row after one step with the others held fixed, its distances, and the relative gain (0: no step)."""
-    # `others` (N,) are distances to the union of the others, `found` (N,) to this one; `damping[k]` is updated.
-    padded, b = np.zeros((11, _PADDED)), np.zeros(11)
-    block, which, in_order = new_block(), np.empty(BLOCK, np.int64), np.arange(BLOCK)
-    weights, residuals = np.empty(BLOCK), np.empty(BLOCK)
-    cost = 0.0
-    count = 0
+def _union_cost(found, others, targets):
+    total = 0.0
+    for n in range(len(found)):
+        r = min(found[n], others[n]) - targets[n]
+        total += r * r if r <= _HUBER else _HUBER * (2.0 * r - _HUBER)
+    return total
+
+
+@kernel(error_model="numpy")
+def normal_step(
+    row, points, targets, others, found, band, damping, num_held, max_log_axis, candidate, again, block, own, equations
+):
+    """Fill the row after one step with the others held fixed, and its distances; return the relative gain and damping.
+
+    Without a gain there is no step. `others` (N,) are distances to the union of the others, `found` (N,) to this one;
+    the first `num_held` parameters stay.
+    """
     for n in range(len(points)):
-        cost += _loss(min(found[n], others[n]) - targets[n])
-        if found[n] <= others[n] and -band < found[n] < OUTER_BAND:
-            block[X + count], block[Y + count], block[Z + count] = points[n, 0], points[n, 1], points[n, 2]
-            which[count] = n
-            count += 1
-        if count == BLOCK or (n == len(points) - 1 and count > 0):
-            fill_distances(block, count, row, band)
-            fill_jacobian(block)
-            if not with_exponents:
-                block[JACOBIAN : JACOBIAN + 2 * BLOCK] = 0.0
-            for m in range(count):
-                r = found[which[m]] - targets[which[m]]
-                weights[m], residuals[m] = 1.0 if r <= _HUBER else _HUBER / r, r
-            _add(padded, b, block, in_order, weights, residuals, count)
-            count = 0
-    a = padded[:, :11].copy()
+        r = found[n] - targets[n]
+        is_own = found[n] <= others[n] and -band < found[n] < OUTER_BAND
+        own[0, n], own[1, n] = (1.0 if r <= _HUBER else _HUBER / r) if is_own else 0.0, r
+    _fill_equations(row, points, own, band, num_held, block, equations)
+    cost = _union_cost(found, others, targets)
     for _ in range(4):
-        lhs = a.copy()
-        for p in range(11):
-            lhs[p, p] += damping[k] * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
-        step = b.copy()
-        solve_in_place(lhs, step)
-        candidate = _stepped(row, step, max_log_axis)
-        again = cut_distances(candidate, points, band)
-        new_cost = 0.0
-        for n in range(len(points)):
-            new_cost += _loss(min(again[n], others[n]) - targets[n])
+        _step(row, equations, damping, max_log_axis, candidate)
+        _fill_cut_distances(candidate, points, band, block, again)
+        new_cost = _union_cost(again, others, targets)
         if new_cost < cost:
-            damping[k] = max(damping[k] * 0.3, 1e-6)
-            return candidate, again, (cost - new_cost) / max(cost, 1e-12)
-        damping[k] = min(damping[k] * 8.0, 1e6)
-    return row, found, 0.0
+            return (cost - new_cost) / max(cost, 1e-12), max(damping * 0.3, 1e-6)
+        damping = min(damping * 8.0, 1e6)
+    return 0.0, damping

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import diagonalise
 
 
 def grown_box(solid: NDArray[np.bool_], seed: tuple[int, int, int], min_fill: float) -> NDArray[np.int64]:
     """Return (2, 3) the first and last cells of a box grown from `seed`, each new face filled by `min_fill`."""
-    return np.asarray(_grow(solid, np.array(seed, dtype=np.int64), min_fill))
+    box = np.array([seed, seed], dtype=np.int64)
+    _grow(solid, box, box.copy(), min_fill)
+    return box
 
 
 def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -26,73 +27,46 @@ def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns, the principal axes of (N, 3) cells."""
-    axes = np.asarray(_principal_axes(np.ascontiguousarray(cells, np.int64)))
+    places = cells.T.astype(np.float64)
+    off = places - (places.sum(axis=1) / len(cells))[:, None]
+    axes = portable.eigh(portable.matmul(off, off.T) / len(cells))[1]
     if portable.det3(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     return axes
 
 
-@kernel
-def _principal_axes(cells):
-    middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
-    for n in range(len(cells)):
-        for i in range(3):
-            middle[i] += cells[n, i]
-    middle /= len(cells)
-    for n in range(len(cells)):
-        x, y, z = cells[n, 0] - middle[0], cells[n, 1] - middle[1], cells[n, 2] - middle[2]
-        off = (x, y, z)
-        for i in range(3):
-            for j in range(3):
-                products[i, j] += off[i] * off[j]
-    products /= len(cells)
-    diagonalise(products, axes)
-    return axes
-
-
-@kernel
-def bounds_along(cells, axes):
+def bounds_along(cells: NDArray[np.int64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (2, 3) the least and the greatest coordinates of (N, 3) cells along the columns of `axes` (3, 3)."""
-    bounds = np.empty((2, 3))
-    bounds[0], bounds[1] = np.inf, -np.inf
-    for n in range(len(cells)):
-        x, y, z = np.float64(cells[n, 0]), np.float64(cells[n, 1]), np.float64(cells[n, 2])
-        for i in range(3):
-            along = x * axes[0, i] + y * axes[1, i] + z * axes[2, i]
-            bounds[0, i], bounds[1, i] = min(bounds[0, i], along), max(bounds[1, i], along)
-    return bounds
+    along = portable.matmul(axes.T, cells.T.astype(np.float64))
+    return np.stack([along.min(axis=1), along.max(axis=1)])
 
 
 @kernel
-def _grow(solid, seed, min_fill):
-    box = np.empty((2, 3), np.int64)
-    box[0], box[1] = seed, seed
-    blocked = np.zeros((2, 3), np.bool_)
-    growing = True
+def _grow(solid, box, layer, min_fill):
+    # Side by side, as long as any grows; `layer` is room for the bounds of a side's next cells.
+    blocked, growing = 0, True
     while growing:
         growing = False
-        for side in range(2):
-            for axis in range(3):
-                if blocked[side, axis]:
-                    continue
-                layer = box[side, axis] + (1 if side else -1)
-                if layer < 0 or layer >= solid.shape[axis]:
-                    blocked[side, axis] = True
-                    continue
-                low, high = box[0].copy(), box[1].copy()
-                low[axis], high[axis] = layer, layer
-                filled, total = 0, 0
-                for i in range(low[0], high[0] + 1):
-                    for j in range(low[1], high[1] + 1):
-                        for k in range(low[2], high[2] + 1):
+        for n in range(6):
+            side, axis = n // 3, n % 3
+            if blocked >> n & 1:
+                continue
+            for i in range(3):
+                layer[0, i], layer[1, i] = box[0, i], box[1, i]
+            place = box[side, axis] + 2 * side - 1
+            layer[0, axis], layer[1, axis] = place, place
+            filled, total = 0, 0
+            if 0 <= place < solid.shape[axis]:
+                for i in range(layer[0, 0], layer[1, 0] + 1):
+                    for j in range(layer[0, 1], layer[1, 1] + 1):
+                        for k in range(layer[0, 2], layer[1, 2] + 1):
                             total += 1
                             filled += solid[i, j, k]
-                if filled >= min_fill * total:
-                    box[side, axis] = layer
-                    growing = True
-                else:
-                    blocked[side, axis] = True
-    return box
+            if total > 0 and filled >= min_fill * total:
+                box[side, axis] = place
+                growing = True
+            else:
+                blocked |= 1 << n
 
 
 @kernel

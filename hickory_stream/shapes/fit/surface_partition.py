@@ -6,97 +6,102 @@ Triangles far outside are bisected: one from a seat down to a leg must not make 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.shapes.fit.quadric_lm import tangent_distance
+from hickory_stream.shapes.fit.cell_shares import DISTANCE, X, Y, Z, fill_exact_distances, new_block
 from hickory_stream.shapes.fit.tangent_planes import distances_of
 
 _MOST_PIECES = 20_000
 
 
-@kernel
-def owned_pieces(vertices, faces, rows, tolerance, min_edge):
+def owned_pieces(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    rows: NDArray[np.float64],
+    tolerance: float,
+    min_edge: float,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Return vertices, with those that bisection adds, (P, 3) triangles, and owner and distance (P,) of each."""
     # `rows` (K, 17) as in `quadric_lm`. The distance is the farthest corner's, negative inside. A triangle is bisected
     # while that is more than `tolerance` outside of all primitives, until its edges are shorter than `min_edge`.
     most = len(faces) + _MOST_PIECES
-    points = np.empty((len(vertices) + most, 3))
-    distances = np.empty((len(vertices) + most, len(rows)))
-    num_points = len(vertices)
-    points[:num_points] = vertices
-    for k in range(len(rows)):
-        distances[:num_points, k] = distances_of(rows[k], vertices, np.inf)
-    pieces, owners, outsides = np.empty((most, 3), np.int64), np.empty(most, np.int64), np.empty(most)
-    count = 0
-    stack = np.empty((64, 3), np.int64)
-    for f in range(len(faces)):
-        # Most triangles are not outside.
-        owner, outside = _owner(distances, faces[f, 0], faces[f, 1], faces[f, 2])
-        if outside <= tolerance:
-            pieces[count, 0], pieces[count, 1], pieces[count, 2] = faces[f, 0], faces[f, 1], faces[f, 2]
-            owners[count], outsides[count] = owner, outside
-            count += 1
-            continue
+    points, distances = np.empty((len(vertices) + most, 3)), np.empty((len(vertices) + most, len(rows)))
+    near = _distances(vertices, rows)
+    points[: len(vertices)], distances[: len(vertices)] = vertices, near.T
+    # Most triangles are not outside.
+    a, b, c = faces.T.copy()
+    farthest = np.maximum(np.maximum(near[:, a], near[:, b]), near[:, c])
+    owners, outsides = farthest.argmin(axis=0), farthest.min(axis=0)
+    is_out = outsides > tolerance
+    # How many pieces there is room for when it is a triangle's turn.
+    room = most - 2 - np.arange(len(faces), 0, -1) - np.cumsum(~is_out)
+    pieces, numbers = np.empty((_MOST_PIECES + len(faces), 3), np.int64), np.empty((3, most))
+    num_points, count = _bisect(
+        points, distances, len(vertices), faces, np.flatnonzero(is_out), room, rows, tolerance, min_edge,
+        np.empty((64, 3), np.int64), new_block(), pieces, numbers,
+    )  # fmt: skip
+    of_face = np.concatenate([np.flatnonzero(~is_out), numbers[0, :count].astype(np.int64)])
+    order = np.argsort(of_face, kind="stable")
+    return (
+        points[:num_points],
+        np.concatenate([faces[~is_out], pieces[:count]])[order],
+        np.concatenate([owners[~is_out], numbers[1, :count].astype(np.int64)])[order],
+        np.concatenate([outsides[~is_out], numbers[2, :count]])[order],
+    )
+
+
+def owners_of(points: NDArray[np.float64], rows: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return (N,) the primitive that each of (N, 3) points is nearest to, and (N,) its distance, negative inside."""
+    distances = _distances(points, rows)
+    return distances.argmin(axis=0), distances.min(axis=0)
+
+
+def _distances(points: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([distances_of(row, points, np.inf) for row in rows])
+
+
+@kernel
+def _bisect(
+    points, distances, num_points, faces, which, room, rows, tolerance, min_edge, stack, block, pieces, numbers
+):
+    # Fills pieces, and for each its face, owner and distance; returns how many points and pieces there are.
+    count, one = 0, np.int64(1)
+    for f in which:
         depth = 1
-        stack[0] = faces[f]
+        for c in range(3):
+            stack[0, c] = faces[f, c]
         while depth > 0:
             depth -= 1
-            corners = stack[depth].copy()
-            owner, outside = _owner(distances, corners[0], corners[1], corners[2])
-            longest, length = _longest_edge(points, corners)
-            has_room = depth < 60 and count + depth + len(faces) - f + 2 < most
-            if outside <= tolerance or length <= min_edge or not has_room:
-                pieces[count], owners[count], outsides[count] = corners, owner, outside
+            a, b, c = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            owner, outside = 0, 1e300
+            for k in range(len(rows)):
+                farthest = max(distances[a, k], distances[b, k], distances[c, k])
+                if farthest < outside:
+                    owner, outside = k, farthest
+            longest, most = 0, -1.0
+            for side in range(3):
+                squared = 0.0
+                for i in range(3):
+                    squared += (points[stack[depth, side], i] - points[stack[depth, (side + 1) % 3], i]) ** 2
+                if squared > most:
+                    longest, most = side, squared
+            has_room = depth < len(stack) - 4 and count + depth < room[f]
+            if outside <= tolerance or np.sqrt(most) <= min_edge or not has_room:
+                pieces[count, 0], pieces[count, 1], pieces[count, 2] = a, b, c
+                numbers[0, count], numbers[1, count], numbers[2, count] = f, owner, outside
                 count += 1
                 continue
             after = (longest + 1) % 3
-            points[num_points] = 0.5 * (points[corners[longest]] + points[corners[after]])
-            _distances(points[num_points], rows, distances[num_points])
-            stack[depth, after] = num_points
-            stack[depth + 1] = corners
-            stack[depth + 1, longest] = num_points
+            for c in range(3):
+                stack[depth + 1, c] = stack[depth, c]
+            stack[depth, after], stack[depth + 1, longest] = num_points, num_points
+            for i in range(3):
+                points[num_points, i] = 0.5 * (points[stack[depth, longest], i] + points[stack[depth + 1, after], i])
+            for k in range(len(rows)):
+                block[X], block[Y], block[Z] = points[num_points, 0], points[num_points, 1], points[num_points, 2]
+                fill_exact_distances(block, one, rows[k], np.inf)
+                distances[num_points, k] = block[DISTANCE]
             num_points += 1
             depth += 2
-    return points[:num_points], pieces[:count], owners[:count], outsides[:count]
-
-
-@kernel
-def owners_of(points, rows):
-    """Return (N,) the primitive that each of (N, 3) points is nearest to, and (N,) its distance, negative inside."""
-    owners, nearest = np.zeros(len(points), np.int64), np.full(len(points), np.inf)
-    for k in range(len(rows)):
-        distances = distances_of(rows[k], points, np.inf)
-        for n in range(len(points)):
-            if distances[n] < nearest[n]:
-                owners[n], nearest[n] = k, distances[n]
-    return owners, nearest
-
-
-@kernel
-def _distances(point, rows, out):
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    for k in range(len(rows)):
-        out[k] = tangent_distance(rows[k], point[0], point[1], point[2], local, gradient, shape, False, np.inf)
-
-
-@kernel
-def _owner(distances, a, b, c):
-    best, least = 0, 1e300
-    for k in range(distances.shape[1]):
-        farthest = max(distances[a, k], distances[b, k], distances[c, k])
-        if farthest < least:
-            best, least = k, farthest
-    return best, least
-
-
-@kernel
-def _longest_edge(points, corners):
-    longest, most = 0, -1.0
-    for c in range(3):
-        d = (c + 1) % 3
-        squared = 0.0
-        for i in range(3):
-            squared += (points[corners[c], i] - points[corners[d], i]) ** 2
-        if squared > most:
-            longest, most = c, squared
-    return longest, np.sqrt(most)
+    return num_points, count

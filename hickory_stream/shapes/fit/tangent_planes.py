@@ -1,13 +1,18 @@
 """Signed distances to tangent planes of a superquadric, a block of points at a time.
 
-They equal `quadric_lm.tangent_distance`, in an order that the compiler vectorises: all points, then those inside, moved
-together. A block is one array with columns of `BLOCK` numbers, so that no two columns overlap. Its logarithm and
-exponential have a relative error below 1e-12, no branches, and the same bits on every machine with IEEE doubles.
+A convex body lies behind its tangent planes: the distance to one bounds the true distance from below outside, from
+above inside. Outside, the plane touches on the ray from the centre; inside it is the nearest of that plane and of those
+met along the three axes, since the first alone would place the rim of a plate nearer than its faces.
+
+The order is one that the compiler vectorises: all points, then those inside, moved together. A block is one array with
+columns of `BLOCK` numbers, so that no two columns overlap. Its logarithm and exponential have a relative error below
+1e-12, no branches, and the same bits on every machine with IEEE doubles.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp
@@ -63,8 +68,7 @@ JACOBIAN = 23 * BLOCK
 _COLUMNS = 34
 
 
-@kernel
-def new_block():
+def new_block() -> NDArray[np.float64]:
     """Return a block; points go to its columns X, Y, Z."""
     return np.ones(_COLUMNS * BLOCK)
 
@@ -76,7 +80,7 @@ def fill_distances(block, count, row, depth):
     _from_centre(block, row)
     smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
     which = np.empty(BLOCK, np.int64)
-    num_inside = 0
+    num_inside = np.int64(0)
     for n in range(count):
         if block[_LOG_H + n] >= 0.0:
             continue
@@ -96,13 +100,13 @@ def fill_distances(block, count, row, depth):
     if num_inside == 0:
         return
     _along_axes(block, num_inside, row)
-    for m in range(num_inside):
-        n = which[m]
-        if block[_IN_RHO + m] > 0.0:
-            block[DISTANCE + n] = -block[_IN_BEST + m]
-            block[GX + n], block[GY + n], block[GZ + n] = block[_IN_X + m], block[_IN_Y + m], block[_IN_Z + m]
-            block[SX + n], block[SY + n] = block[_IN_SX + m], block[_IN_SY + m]
-            block[SR + n], block[SZ + n] = block[_IN_SR + m], block[_IN_SZ + m]
+    for i in range(num_inside):
+        n = which[i]
+        if block[_IN_RHO + i] > 0.0:
+            block[DISTANCE + n] = -block[_IN_BEST + i]
+            block[GX + n], block[GY + n], block[GZ + n] = block[_IN_X + i], block[_IN_Y + i], block[_IN_Z + i]
+            block[SX + n], block[SY + n] = block[_IN_SX + i], block[_IN_SY + i]
+            block[SR + n], block[SZ + n] = block[_IN_SR + i], block[_IN_SZ + i]
 
 
 @kernel(error_model="numpy")
@@ -207,11 +211,16 @@ def fill_jacobian(block):
         block[JACOBIAN + 10 * BLOCK + n] = (gx * py - gy * px) * scale
 
 
-@kernel
-def distances_of(row, points, depth):
+def distances_of(row: NDArray[np.float64], points: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
     """Return the (N,) signed distances of (N, 3) points."""
     out = np.empty(len(points))
-    block = new_block()
+    fill_all_distances(row, points, depth, new_block(), out)
+    return out
+
+
+@kernel
+def fill_all_distances(row, points, depth, block, out):
+    """Fill the (N,) signed distances of (N, 3) points, a block at a time."""
     for first in range(0, len(points), BLOCK):
         count = min(BLOCK, len(points) - first)
         for n in range(count):
@@ -219,4 +228,3 @@ def distances_of(row, points, depth):
         fill_distances(block, count, row, depth)
         for n in range(count):
             out[first + n] = block[DISTANCE + n]
-    return out

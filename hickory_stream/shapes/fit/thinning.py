@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
+GOLDEN = 0.6180339887498949
 
 
-@kernel
-def thinned(count, most):
+def thinned(count: int, most: int) -> NDArray[np.int64]:
     """Return the indices of about `most` of `count` samples; all of them if there are fewer."""
     # One of each interval, at an offset by the golden ratio: a stride could hit one layer of a thin plate every time.
     if count <= most:
         return np.arange(count)
-    stride = count / most
-    chosen = np.empty(most, np.int64)
-    for n in range(most):
-        chosen[n] = np.int64(stride * (n + share_of(n)))
-    return chosen
-
-
-@kernel
-def share_of(n):
-    """Return where in its interval the n-th sample is taken, 0..1: the fraction of n times the golden ratio."""
-    golden = n * 0.6180339887498949
-    # Exact, as the remainder is, which takes ten times as long.
-    return golden - np.floor(golden)
+    n = np.arange(most)
+    # The fraction of n times the golden ratio; exact, as the remainder is, which takes ten times as long.
+    share = n * GOLDEN - np.floor(n * GOLDEN)
+    return (count / most * (n + share)).astype(np.int64)

@@ -29,8 +29,6 @@ from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_o
 from hickory_stream.shapes.fit.quadric_lm import rows_in
 from hickory_stream.shapes.fit.surface_partition import owned_pieces, owners_of
 from hickory_stream.shapes.inflate.cover import (
-    NET,
-    NET_FACTOR,
     extremes,
     least_axes,
     local_abs,
@@ -311,7 +309,7 @@ class _Share:
         # The extreme points in many directions nearly determine the result.
         scale = np.maximum(points.max(axis=0) + radii.max(), before)
         far = extremes(points / scale, _octant_directions())
-        binding = with_net(points[far], radii[far], NET, NET_FACTOR)
+        binding = with_net(points[far], radii[far])
         binding = binding[extremes(binding / scale, _octant_directions())]
         candidates = _candidates(exponents)
         axes = [_least_around(binding, before, rounder, self.config.g) for rounder in candidates]
@@ -361,7 +359,7 @@ def _least_around(
     binding: NDArray[np.float64], before: NDArray[np.float64], exponents: NDArray[np.float64], g: float
 ) -> NDArray[np.float64]:
     e1, e2 = float(exponents[0]), float(exponents[1])
-    return np.asarray(least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK))
+    return least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK)
 
 
 def _axes_around(
@@ -379,10 +377,10 @@ def _axes_around(
     limit = e1 / 2 * float(log(g)) - _SLACK
     axes = first
     for _ in range(_ROUNDS):
-        worst, count = worst_balls(points, radii, axes, e1, e2, limit + _SLACK / 2, NET, NET_FACTOR, _WORST)
-        if count == 0:
+        worst = worst_balls(points, radii, axes, e1, e2, limit + _SLACK / 2, _WORST)
+        if len(worst) == 0:
             return axes
-        binding = np.concatenate([binding, with_net(points[worst], radii[worst], NET, NET_FACTOR)])
+        binding = np.concatenate([binding, with_net(points[worst], radii[worst])])
         axes = _least_around(binding, before, exponents, g)
     return _by_one_factor(points, radii, axes, exponents, g)
 
@@ -397,7 +395,7 @@ def _by_one_factor(
     # The paper's gamma = (G_max / g)^(e1 / 2), at least 1, over all balls.
     e1, e2 = float(exponents[0]), float(exponents[1])
     limit = e1 / 2 * float(log(g)) - _SLACK
-    worst = float(_log_gauges(with_net(points, radii, NET, NET_FACTOR), axes, e1, e2).max())
+    worst = float(_log_gauges(with_net(points, radii), axes, e1, e2).max())
     return np.asarray(np.maximum(axes * exp(worst - limit), axes))
 
 

@@ -84,42 +84,35 @@ def _of_corners(reduced: np.ufunc, triangles: NDArray[np.float64]) -> NDArray[np
     return np.asarray(reduced(reduced(triangles[:, :, 0], triangles[:, :, 1]), triangles[:, :, 2]))
 
 
-@kernel
-def _best_cut(lows, highs, margin):
+def _best_cut(lows: NDArray[np.float64], highs: NDArray[np.float64], margin: float) -> tuple[NDArray[np.bool_], float]:
     # (N,) triangles on the first side of the best plane, and the volume of both boxes; planes normal to the axes of F
     # frames.
-    num_frames, count = lows.shape[0], lows.shape[1]
-    before = np.empty(count)
-    after = np.empty(count)
-    least, first_side = np.inf, np.empty(0, np.int64)
-    for frame in range(num_frames):
-        for axis in range(3):
-            order = np.argsort(lows[frame, :, axis] + highs[frame, :, axis], kind="mergesort")
-            _volumes_from_first(lows, highs, order, margin, before)
-            _volumes_from_first(lows, highs, order[::-1], margin, after)
-            at = -1
-            for n in range(count - 1):
-                if before[n] + after[count - 2 - n] < least:
-                    least, at = before[n] + after[count - 2 - n], n
-            if at >= 0:
-                first_side = order[: at + 1]
-    side = np.zeros(count, np.bool_)
-    side[first_side] = True
+    side, least = np.zeros(lows.shape[1], np.bool_), np.inf
+    before, after = np.empty((2, len(side)))
+    for middles in (lows + highs).transpose(0, 2, 1).reshape(-1, len(side)) if len(side) > 1 else ():
+        order = np.argsort(middles, kind="stable")
+        _fill_volumes(lows, highs, order, margin, before)
+        _fill_volumes(lows, highs, order[::-1].copy(), margin, after)
+        volumes = before[:-1] + after[-2::-1]
+        at = int(volumes.argmin())
+        if volumes[at] < least:
+            least = float(volumes[at])
+            side[:] = False
+            side[order[: at + 1]] = True
     return side, least
 
 
 @kernel
-def _volumes_from_first(lows, highs, order, margin, out):
-    out[:] = np.inf
+def _fill_volumes(lows, highs, order, margin, out):
+    # Of the boxes around the first of the triangles, in the better frame.
     for frame in range(len(lows)):
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        a, b, c, x, y, z = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
         for n in range(len(order)):
-            volume = 1.0
-            for i in range(3):
-                low[i] = min(low[i], lows[frame, order[n], i])
-                high[i] = max(high[i], highs[frame, order[n], i])
-                volume *= high[i] - low[i] + 2.0 * margin
-            out[n] = min(out[n], volume)
+            i = order[n]
+            a, b, c = min(a, lows[frame, i, 0]), min(b, lows[frame, i, 1]), min(c, lows[frame, i, 2])
+            x, y, z = max(x, highs[frame, i, 0]), max(y, highs[frame, i, 1]), max(z, highs[frame, i, 2])
+            volume = (x - a + 2.0 * margin) * (y - b + 2.0 * margin) * (z - c + 2.0 * margin)
+            out[n] = volume if frame == 0 else min(out[n], volume)
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:

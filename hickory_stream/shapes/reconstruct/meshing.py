@@ -21,53 +21,47 @@ from hickory_stream.ports import Crop, Reconstruction
 from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid, gaussian_blurred
 
 
-@kernel
-def rough_distance(solid, reach):
-    """Return the signed distances to the faces between solid and other cells, in cells, negative inside, float32."""
+def rough_distance(solid: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
+    """Return the signed distances to the faces between solid and other cells, in cells, negative inside."""
     # Between the middles of cells, less half a cell; cut off at `reach`.
-    outside, inside = _squared_distance(solid, True, reach), _squared_distance(solid, False, reach)
-    out = np.empty(solid.shape, np.float32)
-    flat, is_solid = out.reshape(-1), solid.reshape(-1)
-    to_solid, to_other = outside.reshape(-1), inside.reshape(-1)
-    for n in range(len(flat)):
-        flat[n] = 0.5 - np.sqrt(np.float64(to_other[n])) if is_solid[n] else np.sqrt(np.float64(to_solid[n])) - 0.5
-    return out
+    away = np.empty((2, 2, *solid.shape), np.int32)
+    for cells, room in zip((solid, ~solid), away, strict=True):
+        _fill_squared(cells, reach, *room)
+    outside, inside = np.sqrt(away[:, 0].astype(np.float64))
+    return np.where(solid, 0.5 - inside, outside - 0.5).astype(np.float32)
 
 
 @kernel
-def _squared_distance(solid, to_solid, reach):
-    # int32.
-    nx, ny, nz = solid.shape
+def _fill_squared(cells, reach, squared, room):
+    # To the set ones of the cells.
+    nx, ny, nz = cells.shape
     most = np.int32(reach * reach)
-    along_z = np.empty((nx, ny, nz), np.int32)
     for i in range(nx):
         for j in range(ny):
             since = reach
             for k in range(nz):
-                since = 0 if solid[i, j, k] == to_solid else min(since + 1, reach)
-                along_z[i, j, k] = since
+                since = 0 if cells[i, j, k] else min(since + 1, reach)
+                squared[i, j, k] = since
             since = reach
             for k in range(nz - 1, -1, -1):
-                since = 0 if solid[i, j, k] == to_solid else min(since + 1, reach)
-                least = min(along_z[i, j, k], since)
-                along_z[i, j, k] = least * least
-    along_y = np.full((nx, ny, nz), most, np.int32)
+                since = 0 if cells[i, j, k] else min(since + 1, reach)
+                least = min(np.int64(squared[i, j, k]), since)
+                squared[i, j, k], room[i, j, k] = least * least, most
     for i in range(nx):
         for j in range(ny):
             for other in range(max(j - reach, 0), min(j + reach + 1, ny)):
-                _lower(along_y[i, j], along_z[i, other], np.int32((j - other) ** 2))
-    # What it was made of is not needed any more.
-    along_z[:] = most
+                more = np.int32((j - other) ** 2)
+                for k in range(nz):
+                    room[i, j, k] = min(room[i, j, k], np.int32(squared[i, other, k] + more))
     for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                squared[i, j, k] = most
         for other in range(max(i - reach, 0), min(i + reach + 1, nx)):
-            _lower(along_z[i].reshape(-1), along_y[other].reshape(-1), np.int32((i - other) ** 2))
-    return along_z
-
-
-@kernel
-def _lower(values, others, more):
-    for n in range(len(values)):
-        values[n] = min(values[n], np.int32(others[n] + more))
+            more = np.int32((i - other) ** 2)
+            for j in range(ny):
+                for k in range(nz):
+                    squared[i, j, k] = min(squared[i, j, k], np.int32(room[other, j, k] + more))
 
 
 _GREY = (150, 150, 150)
@@ -107,25 +101,22 @@ def extract(field: NDArray[np.float32], grid: VoxelGrid) -> tuple[NDArray[np.flo
 
 def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int) -> NDArray[np.float64]:
     """Return the vertices after Taubin's lambda-mu smoothing (0.5, -0.53), which does not shrink the shape."""
+    counts = np.bincount(faces.ravel(), minlength=len(vertices))[:, None]
     for _ in range(iterations):
         for factor in (0.5, -0.53):
-            vertices = vertices + factor * (_means_of_neighbours(vertices, faces) - vertices)
+            sums = np.zeros_like(vertices)
+            _add_neighbours(vertices, faces, sums)
+            vertices = vertices + factor * (np.where(counts, sums / np.maximum(counts, 1), vertices) - vertices)
     return vertices
 
 
 @kernel
-def _means_of_neighbours(vertices, faces):
-    means, counts = np.zeros(vertices.shape), np.zeros(len(vertices), np.int64)
+def _add_neighbours(vertices, faces, sums):
     for f in range(len(faces)):
         for corner in range(3):
             here, there = faces[f, corner], faces[f, (corner + 1) % 3]
-            counts[here] += 1
             for i in range(3):
-                means[here, i] += vertices[there, i]
-    for v in range(len(vertices)):
-        for i in range(3):
-            means[v, i] = means[v, i] / counts[v] if counts[v] else vertices[v, i]
-    return means
+                sums[here, i] += vertices[there, i]
 
 
 def painted(

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
@@ -83,33 +82,26 @@ def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolera
     on_surface = np.zeros(len(mirrored), dtype=bool)
     in_free = np.zeros(len(mirrored), dtype=bool)
     for view in views:
-        camera = view.camera
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        states = _against(apply(view.camera_from_world, mirrored), view.depth_m, view.mask, intrinsics, tolerance_m)
+        states = _against(apply(view.camera_from_world, mirrored), view, tolerance_m)
         on_surface |= states == 1
         in_free |= states == 2
     return float(on_surface.mean()), float(in_free.mean())
 
 
-@kernel
-def _against(points, depth, mask, intrinsics, tolerance):
+def _against(points: NDArray[np.float64], view: DepthView, tolerance_m: float) -> NDArray[np.uint8]:
     # 1 on the object's surface, 2 in free space, 0 occluded or unknown.
-    fx, fy, cx, cy = intrinsics
-    out = np.zeros(len(points), np.uint8)
-    for n in range(len(points)):
-        x, y, z = points[n]
-        if z <= 0.05:
-            continue
-        column, row = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
-        if row < 0 or column < 0 or row >= depth.shape[0] or column >= depth.shape[1]:
-            # The crop contains the whole mask: beside the mask there is no object.
-            out[n] = 2
-            continue
-        ahead = depth[row, column] - z
-        if ahead > tolerance:
-            out[n] = 2
-        elif abs(ahead) <= tolerance and mask[row, column]:
-            out[n] = 1
+    camera, out = view.camera, np.zeros(len(points), np.uint8)
+    ahead_of = np.flatnonzero(points[:, 2] > 0.05)
+    x, y, z = points[ahead_of].T
+    column = np.floor(x / z * camera.fx + camera.cx + 0.5).astype(np.int64)
+    row = np.floor(y / z * camera.fy + camera.cy + 0.5).astype(np.int64)
+    is_in = (row >= 0) & (column >= 0) & (row < view.depth_m.shape[0]) & (column < view.depth_m.shape[1])
+    # The crop contains the whole mask: beside the mask there is no object.
+    out[ahead_of[~is_in]] = 2
+    seen, at = ahead_of[is_in], (row[is_in], column[is_in])
+    ahead = view.depth_m[at] - z[is_in]
+    out[seen[(np.abs(ahead) <= tolerance_m) & view.mask[at]]] = 1
+    out[seen[ahead > tolerance_m]] = 2
     return out
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -99,9 +100,16 @@ def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
         depth = smoothed_depth(view.depth_m, view.mask, view.law)
         camera = view.camera
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        carve = _carving_depth(view.depth_m)
-        inner = _inner(view.mask)
-        cosine = _cosine(depth, intrinsics)
+        # Up to the nearest depth among 3 x 3 pixels space is certainly free, even beside an edge.
+        nearest = cv2.erode(
+            np.where(np.isnan(view.depth_m), np.float32(np.inf), view.depth_m), np.ones((3, 3), np.uint8)
+        )
+        carve = np.where(view.depth_m > 0, nearest, np.float32(np.nan))
+        # Pixels at the border of the mask may have a depth from behind the object.
+        cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+        inner = cv2.erode(view.mask.view(np.uint8), cross, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
+        cosine = np.ones_like(depth)
+        _fill_cosine(depth, float(camera.fx), float(camera.fy), cosine)
         _integrate(
             total, near, free, camera_from_grid, grid.voxel_m,
             depth, cosine, carve, view.mask, inner, intrinsics, view.law, view.trust,
@@ -114,13 +122,14 @@ def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
 
 def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], law: Law) -> NDArray[np.float32]:
     """Return the depth averaged within the mask over 5 x 5 pixels that lie within four sigma; holes stay holes."""
-    return np.asarray(_smooth(depth_m, mask, law))
+    out = np.full_like(depth_m, np.nan)
+    _smooth(depth_m, mask, law, out)
+    return out
 
 
 @kernel
-def _smooth(depth, mask, law):
+def _smooth(depth, mask, law, out):
     height, width = depth.shape
-    out = np.full_like(depth, np.nan)
     for row in range(height):
         for column in range(width):
             middle = depth[row, column]
@@ -134,15 +143,12 @@ def _smooth(depth, mask, law):
                         total += depth[r, c]
                         count += 1.0
             out[row, column] = total / max(count, 1.0)
-    return out
 
 
 @kernel
-def _cosine(depth, intrinsics):
+def _fill_cosine(depth, fx, fy, out):
     # In 0.25..1; it converts depths to true distances.
     height, width = depth.shape
-    fx, fy = intrinsics[0], intrinsics[1]
-    out = np.ones_like(depth)
     for row in range(height):
         for column in range(width):
             z = depth[row, column]
@@ -159,48 +165,12 @@ def _cosine(depth, intrinsics):
                 dy = 0.5 * (below - z) if below > 0.0 else (0.5 * (z - above) if above > 0.0 else 0.0)
             a, b = dx * fx / z, dy * fy / z
             out[row, column] = max(0.25, 1.0 / np.sqrt(1.0 + a * a + b * b))
-    return out
-
-
-@kernel
-def _carving_depth(depth):
-    # Up to the nearest depth among 3 x 3 pixels space is certainly free, even beside an edge.
-    height, width = depth.shape
-    out = np.full_like(depth, np.nan)
-    for row in range(height):
-        for column in range(width):
-            if not depth[row, column] > 0.0:
-                continue
-            nearest = depth[row, column]
-            for r in range(max(row - 1, 0), min(row + 2, height)):
-                for c in range(max(column - 1, 0), min(column + 2, width)):
-                    if depth[r, c] < nearest:
-                        nearest = depth[r, c]
-            out[row, column] = nearest
-    return out
-
-
-@kernel
-def _inner(mask):
-    # Pixels at the border of the mask may have a depth from behind the object.
-    height, width = mask.shape
-    out = np.zeros_like(mask)
-    for row in range(1, height - 1):
-        for column in range(1, width - 1):
-            out[row, column] = (
-                mask[row, column]
-                and mask[row - 1, column]
-                and mask[row + 1, column]
-                and mask[row, column - 1]
-                and mask[row, column + 1]
-            )
-    return out
 
 
 @kernel
 def _integrate(total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, law, trust):
     height, width = depth.shape
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     m = camera_from_grid
     for i in range(total.shape[0]):
         for j in range(total.shape[1]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import (
     compose,
     from_rotation_translation,
@@ -284,7 +284,8 @@ def _nerfstudio_view(found: FrameCollector, table: Mapping[str, Any], sizes: Siz
     if "fl_x" in table:
         fx, fy = float(table["fl_x"]), float(table.get("fl_y", table["fl_x"]))
     else:
-        fx = fy = size[0] / 2 / math.tan(float(table["camera_angle_x"]) / 2)
+        half = float(table["camera_angle_x"]) / 2
+        fx = fy = size[0] / 2 * float(portable.cos(half) / portable.sin(half))
     # There, the middle of the first pixel is at 0.5.
     cx, cy = (float(table.get(name, side / 2)) - 0.5 for name, side in zip(("cx", "cy"), size, strict=True))
     of_file = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Range
 from hickory_stream.errors import NoPosesError, RecordingError
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import MOST_SIDE_PX
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from hickory_stream.poses.depth_scan import scan_of_depth
@@ -33,8 +34,8 @@ from players.poses.interpolation import world_from_down
 from players.profile import Intrinsics, Profile
 
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
-# The images that are searched for level surfaces, and the angle within which an axis of the log is taken for up.
-_LEVEL_IMAGES, _AXIS_COSINE = 5, np.cos(np.radians(4.0))
+# The images that are searched for level surfaces, and the cosine of 4 degrees, within which an axis of the log is up.
+_LEVEL_IMAGES, _AXIS_COSINE = 5, 0.99756405
 
 FAR_M = 1e6
 """A pose that is so far away is damaged."""
@@ -225,13 +226,15 @@ class FrameCollector:
             except RecordingError:
                 continue
             if up is not None:
-                up = frame.pose[:3, :3] @ self._depth_from_color[:3, :3] @ up
+                up = portable.matmul(portable.matmul(frame.pose[:3, :3], self._depth_from_color[:3, :3]), up)
                 axis = int(np.abs(up).argmax())
                 if abs(up[axis]) > _AXIS_COSINE:
                     sign, up = np.sign(up[axis]), np.eye(3)[axis] * np.sign(up[axis])
                     return world_from_down(-up), f"{'-' if sign < 0 else ''}{'xyz'[axis]} of the log, by level surfaces"
                 return world_from_down(-up), f"level surfaces of {Path(str(frame.depth)).name}"
-        return world_from_down(-posed[0].pose[:3, :3] @ rough_up), "the first image, without a level surface in view"
+        return world_from_down(
+            -portable.matmul(posed[0].pose[:3, :3], rough_up)
+        ), "the first image, without a level surface in view"
 
     def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
         if self._unposed_ns and pose_span_ns is not None:

@@ -3,10 +3,9 @@ from dataclasses import replace
 from pathlib import Path
 import numpy as np
 import pytest
-from hickory_stream.events import FrameObserved
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import JournalEntry, StepKind
+from hickory_stream.journal.step import StepKind
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.recorded import (
@@ -25,20 +24,13 @@ def path(undisturbed_run: SceneRun) -> Path:
     return undisturbed_run.folder.path
 
 
-def as_older(entry: JournalEntry) -> JournalEntry:
-    """The step as a version wrote it that kept neither decisions nor coarse frames."""
-    events = tuple(replace(e, coarse=None) if isinstance(e, FrameObserved) else e for e in entry.events)
-    return replace(entry, events=events, told=None)
-
-
-def rewritten(path: Path, copy: Path, num_steps: int, num_told: int) -> Path:
-    """A copy of a map whose journal has only the first steps, and of these the first ones with what was told."""
+def rewritten(path: Path, copy: Path, num_steps: int) -> Path:
+    """A copy of a map whose journal has only the first steps."""
     shutil.copytree(path, copy)
     with Journal(path) as journal:
         writer = JournalWriter(copy, flush_s=0.0)
         for i in range(num_steps):
-            entry = journal.entry(i)
-            writer.append(entry if i < num_told else as_older(entry))
+            writer.append(journal.entry(i))
         writer.close()
     return copy
 
@@ -63,18 +55,10 @@ def test_every_keyframe_comes_with_what_was_seen_and_decided(path):
     assert len(frames) == NUM_FRAMES
 
 
-@pytest.mark.parametrize("num_told", [0, 3])
-def test_a_run_with_an_older_journal_is_replayed_instead(path, tmp_path, num_told):
-    with Journal(path) as journal:
-        count = len(journal)
-    older = rewritten(path, tmp_path / "older", count, num_told)
-    assert [step.decisions for step in steps(older)] == [step.decisions for step in steps(path)]
-
-
 def test_a_run_that_was_killed_is_told_as_far_as_it_came(path, tmp_path):
     with Journal(path) as journal:
         count = sum(step.kind is StepKind.KEYFRAME for step in (journal.step(i) for i in range(len(journal))))
-    killed = rewritten(path, tmp_path / "killed", count - 1, count - 1)
+    killed = rewritten(path, tmp_path / "killed", count - 1)
     saved = open_map(killed)
     manifest = (killed / "manifest.json").read_text().replace('"finished_cleanly": true', '"finished_cleanly": false')
     (killed / "manifest.json").write_text(manifest)

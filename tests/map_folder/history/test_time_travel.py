@@ -14,6 +14,7 @@ from hickory_stream.journal.snapshot_records import object_without_points
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.map_folder.writer import MapFolder
@@ -171,9 +172,11 @@ def test_only_points_and_space_need_the_events(watched, monkeypatch):
             _ = known.objects[0].points_world
         with pytest.raises(AssertionError, match="nobody looked"):
             _ = known.submaps[0].observed_space.free
-    with monkeypatch.context() as context:
-        context.setattr(Journal, "known", lambda *_: None)
-        replayed = watched.saved.as_known_at(stamp_ns)
+    folder = watched.run.folder.path
+    with Journal(folder) as journal:
+        replay = Replay(journal, known_config(folder).mapping)
+        replay.seek(int(np.searchsorted(journal.stamps_ns, stamp_ns)))
+    replayed = replay.snapshot()
     assert light == [encode(object_without_points(tracked)) for tracked in replayed.objects]
     assert encode(known.objects) == encode(replayed.objects)
     assert encode(known.submaps) == encode(replayed.submaps)

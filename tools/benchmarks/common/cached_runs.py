@@ -87,7 +87,8 @@ def apartment_map(apartment: int, walk: int) -> Path:
     """Return the folder of the cached map of a walk, in the frame of `frame_of`."""
     config = walk_recording("apartment", apartment, walk)
     folder = state_folder(ROOT / "out" / "maps", recording_name(config))
-    cached_map(folder, lambda: MovedSource(open_source(str(cached_recording(config)[0])), frame_of(apartment, walk)))
+    moved, log = frame_of(apartment, walk), cached_recording(config)[0]
+    cached_map(folder, lambda: MovedSource(open_source(str(log)), lambda raw: moved @ raw.world_from_camera))
     return folder
 
 

@@ -6,9 +6,8 @@ rendering.
 """
 
 import runpy
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +17,11 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.pictures.open3d_import import import_open3d
-from hickory_stream.ports import Source, SourceAround
-from hickory_stream.records import Frame, RawFrame
+from hickory_stream.ports import Source
 from players import open_source
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.foreign.logs import PROGRAM, WorldLog, foreign_log, recorded, worlds_folder
+from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.drift import DriftConfig, drifted
 from tools.worlds.recording_config import RecordingConfig, walkable_world
 
@@ -50,7 +49,7 @@ class DriftingWalk:
     def open(self, factor: float) -> Source:
         """Return the log as a source, with the odometry that drifts by this factor; 0: with exact poses."""
         source = open_source(str(self.log.log))
-        return source if factor == 0.0 else Drifting(source, self.odometry[factor])
+        return source if factor == 0.0 else MovedSource(source, lambda raw: self.odometry[factor][raw.stamp_ns])
 
 
 def drifting_walks(options: Options) -> list[DriftingWalk]:
@@ -102,20 +101,3 @@ def _foreign_walk(worlds: Path) -> DriftingWalk:
         link = program["drifted"](exact, _RATE_HZ, _FOREIGN_SEED, factor)
         odometry[factor] = {f.stamp_ns: pose @ link_from_camera for f, pose in zip(frames, link, strict=True)}
     return DriftingWalk(name=_FOREIGN, log=log, odometry=odometry)
-
-
-class Drifting(SourceAround):
-    """The frames of a source at the poses of another odometry."""
-
-    def __init__(self, source: Source, poses: Poses) -> None:
-        super().__init__(source)
-        self._poses = poses
-
-    def frames(self) -> Iterator[RawFrame]:
-        for raw in self._source.frames():
-            pose = self._poses[raw.stamp_ns]
-            yield replace(raw, world_from_camera=pose, decode=partial(_decoded, raw, pose))
-
-
-def _decoded(raw: RawFrame, pose: NDArray[np.float64]) -> Frame:
-    return replace(raw.decode(), world_from_camera=pose)

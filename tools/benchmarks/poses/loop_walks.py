@@ -22,7 +22,8 @@ from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import wilson
 from tools.benchmarks.common.processes import NO_SHAPES
-from tools.benchmarks.poses.drift_logs import Drifting, drift_of
+from tools.benchmarks.poses.drift_logs import drift_of
+from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.drift import drifted
 
 _CAMERA = Camera(width=160, height=120, fx=90.0, fy=90.0, cx=79.5, cy=59.5)
@@ -79,7 +80,8 @@ def _closed(walk: Walk) -> Closed:
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "map"
         odometry = {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.odometry)}
-        play_into(out, Drifting(_Cast(walk), odometry), read_config(MapperConfig, None, _CONFIG))
+        moved = MovedSource(_Cast(walk), lambda raw: odometry[raw.stamp_ns])
+        play_into(out, moved, read_config(MapperConfig, None, _CONFIG))
         graph = open_map(out).snapshot.graph
         with Journal(out) as journal:
             events = [event for entry in journal.entries() for event in entry.events]

@@ -1,49 +1,28 @@
-"""A source with its poses in another world frame, as if the robot had started elsewhere."""
+"""A source with its poses elsewhere: in another world frame, or of another odometry."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+import numpy as np
+from numpy.typing import NDArray
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Source
-    from hickory_stream.records import Frame, RawFrame, SourceInfo
+from hickory_stream.ports import Source, SourceAround
+from hickory_stream.records import Frame, RawFrame
 
 
-class MovedSource:
-    """The frames of another source, with `new_from_old` (4, 4) applied to every pose."""
+class MovedSource(SourceAround):
+    """The frames of another source at the poses (4, 4) that `pose_of` gives; these must keep z up."""
 
-    # The transform must keep z up.
-    def __init__(self, source: Source, new_from_old: NDArray[np.float64]) -> None:
-        if abs(float(new_from_old[2, 2]) - 1.0) > 1e-9:
-            raise ValueError("a source may be moved and turned about the vertical, not tilted")
-        self._source = source
-        self._new_from_old = new_from_old
-
-    @property
-    def info(self) -> SourceInfo:
-        return self._source.info
+    def __init__(self, source: Source, pose_of: Callable[[RawFrame], NDArray[np.float64]]) -> None:
+        super().__init__(source)
+        self._pose_of = pose_of
 
     def frames(self) -> Iterator[RawFrame]:
-        for frame in self._source.frames():
-            yield replace(
-                frame,
-                world_from_camera=self._new_from_old @ frame.world_from_camera,
-                decode=partial(self._decoded, frame),
-            )
+        for raw in self._source.frames():
+            pose = self._pose_of(raw)
+            yield replace(raw, world_from_camera=pose, decode=partial(_decoded, raw, pose))
 
-    def ledger(self) -> Mapping[str, int]:
-        return self._source.ledger()
 
-    def close(self) -> None:
-        self._source.close()
-
-    def _decoded(self, raw: RawFrame) -> Frame:
-        frame = raw.decode()
-        return replace(frame, world_from_camera=self._new_from_old @ frame.world_from_camera)
+def _decoded(raw: RawFrame, pose: NDArray[np.float64]) -> Frame:
+    return replace(raw.decode(), world_from_camera=pose)

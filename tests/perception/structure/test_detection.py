@@ -1,9 +1,9 @@
-"""The loops of structure against NumPy's masks, to the byte."""
+"""Steps of the detection of walls against their definitions."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.perception.structure import detection_kernels as kernels
+from hickory_stream.perception.structure import detection
 from hickory_stream.perception.structure.detection import pixel_areas_m2
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from tests.perception.perception_scenes import CAMERA, Block, floor, looking, render
@@ -14,27 +14,6 @@ def numbers(seed, *shape):
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 
-def marks(seed, *shape):
-    return np.random.default_rng(seed + 1).random(shape) < 0.6
-
-
-@given(seeds, st.integers(0, 60))
-def test_what_is_taken_is_what_is_marked(seed, count):
-    values, mask = numbers(seed, count, 2), marks(seed, count)
-    assert np.array_equal(kernels.taken_rows(values, mask), values[mask])
-    assert np.array_equal(kernels.taken(values[:, 0].copy(), mask), values[mask, 0])
-
-
-@given(seeds, st.integers(0, 60))
-def test_near_and_below_are_comparisons(seed, count):
-    along, tolerance = numbers(seed, count), np.abs(numbers(seed + 2, count))
-    offset, weight = np.float32(0.3), np.abs(numbers(seed + 3, count)).astype(np.float64)
-    near = kernels.near_offset(along, offset, tolerance)
-    assert np.array_equal(near, np.abs(along - offset) < tolerance)
-    below = kernels.weight_below(weight, along, offset, tolerance)
-    assert np.array_equal(below, weight[along < offset - tolerance])
-
-
 @given(seeds)
 def test_a_wall_is_what_is_near_it_and_faces_as_it_does(seed):
     distance, facing, tolerance = numbers(seed, 7, 9), numbers(seed + 2, 7, 9), np.abs(numbers(seed + 3, 7, 9))
@@ -42,7 +21,7 @@ def test_a_wall_is_what_is_near_it_and_faces_as_it_does(seed):
     for is_end in (True, False):
         away = distance if is_end else np.abs(distance)
         expected = (away < 1.5 * tolerance) & ((facing > 0.8) | (away < 0.6 * tolerance))
-        assert np.array_equal(kernels.on_wall(distance, facing, tolerance, is_end), expected)
+        assert np.array_equal(detection._on_wall(distance, facing, tolerance, is_end=is_end), expected)
 
 
 @given(seeds, st.integers(1, 60))
@@ -51,18 +30,16 @@ def test_upright_pixels_have_an_area_and_a_level_normal(seed, count):
     points, sigma = numbers(seed + 3, count, 3), np.abs(numbers(seed + 4, count))
     normals[::7] = np.nan
     upright = (areas > 0) & (np.abs(normals[:, 2]) < 0.2)
-    pixels, direction = kernels.upright_pixels(normals, areas)
-    assert np.array_equal(pixels, np.flatnonzero(upright))
+    found = detection._upright(points, normals, sigma, areas)
+    assert np.array_equal(found.pixels, np.flatnonzero(upright))
     length = np.linalg.norm(normals[upright, :2], axis=1, keepdims=True)
-    assert np.array_equal(direction, normals[upright, :2] / length)
-    at, heights, noise, weight = kernels.places_of(pixels, points, sigma, areas)
-    assert np.array_equal(np.column_stack([at, heights]), points[upright])
-    assert np.array_equal(noise, sigma[upright])
-    assert np.array_equal(weight, areas[upright].astype(np.float64))
-    all_at, all_weight, all_noise = kernels.surface_of_area(points, sigma, areas)
-    assert np.array_equal(all_at, points[areas > 0, :2])
-    assert np.array_equal(all_weight, areas[areas > 0].astype(np.float64))
-    assert np.array_equal(all_noise, 2.0 * sigma[areas > 0])
+    assert np.array_equal(found.direction, normals[upright, :2] / length)
+    assert np.array_equal(found.at, points[upright])
+    assert np.array_equal(found.sigma, sigma[upright])
+    assert np.array_equal(found.weight, areas[upright].astype(np.float64))
+    few = found.among(found.at[:, 0] > 0)
+    assert np.array_equal(few.at, points[upright & (points[:, 0] > 0)])
+    assert np.array_equal(few.azimuths, found.azimuths[found.at[:, 0] > 0])
 
 
 def test_areas_are_flat_ones_over_the_slant():
@@ -78,19 +55,12 @@ def test_areas_are_flat_ones_over_the_slant():
     assert (areas == 0).sum() == np.isnan(cosine).sum() > 0
 
 
-@given(seeds, st.integers(1, 60))
-def test_a_weighted_sum_over_the_weights_is_the_average(seed, count):
-    rows, weight = numbers(seed, count, 2), np.abs(numbers(seed + 2, count)).astype(np.float64) + 0.1
-    mean = kernels.weighted_sum(rows, weight) / weight.sum()
-    assert np.array_equal(mean, np.average(rows, axis=0, weights=weight))
-
-
 @given(seeds, st.integers(1, 60), st.sampled_from([2, 3]))
 def test_along_is_an_inner_product_and_azimuths_split_evenly(seed, count, columns):
     rows, angle = numbers(seed, count, columns), seed % 360 / 57.3
     direction = np.array([np.cos(angle), np.sin(angle)], dtype=np.float32)
-    assert np.allclose(kernels.along(rows, direction), rows[:, :2] @ direction, atol=1e-6)
-    bins = kernels.bins_of_azimuth(rows, 12)
+    assert np.allclose(detection._along(rows, direction), rows[:, :2] @ direction, atol=1e-6)
+    bins = detection._bins_of_azimuth(rows, 12)
     middles = (bins + 0.5) / 12 * 2 * np.pi - np.pi
     towards = rows[:, 0] * np.cos(middles) + rows[:, 1] * np.sin(middles)
     assert (towards >= np.linalg.norm(rows[:, :2], axis=1) * np.cos(np.pi / 12) - 1e-6).all()
@@ -99,6 +69,6 @@ def test_along_is_an_inner_product_and_azimuths_split_evenly(seed, count, column
 @given(seeds, st.integers(2, 60))
 def test_the_spread_is_the_weighted_covariance(seed, count):
     at, weight = numbers(seed, count, 2), np.abs(numbers(seed + 2, count)).astype(np.float64) + 0.1
-    middle, spread = kernels.spread_of(at, weight / weight.sum())
+    middle, spread = detection._spread(at, weight / weight.sum())
     assert np.allclose(middle, np.average(at, axis=0, weights=weight))
     assert np.allclose(spread, np.cov(at.T, aweights=weight, ddof=0), atol=1e-9)
