@@ -10,6 +10,7 @@ import hashlib
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 from players.logs.log_damage import Flaws
 
 DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
-_SAMPLE_BYTES = 1 << 20
+_SAMPLE_BYTES, _EARLY_MESSAGES = 1 << 20, 150
 Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
@@ -119,6 +120,19 @@ def summed_by(name_of: Callable[[int], str], counts: Mapping[int, int] | None) -
     for number, count in counts.items():
         total[name_of(number)] += count
     return dict(total)
+
+
+def first_messages(log: Log, type_names: Collection[str]) -> dict[str, Any]:
+    """Return the first message of each topic of some types, as far as it comes early and can be read."""
+    topics = {topic.name: topic for topic in log.topics if topic.type_name in type_names and topic.num_messages != 0}
+    found: dict[str, Any] = {}
+    for count, message in enumerate(log.messages(topics)):
+        if message.topic not in found:
+            with suppress(UnreadableMessageError):
+                found[message.topic] = deserialize(topics[message.topic], message.data)
+        if len(found) == len(topics) or count > _EARLY_MESSAGES:
+            break
+    return found
 
 
 def deserialize(topic: Topic, data: Any) -> Any:

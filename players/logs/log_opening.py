@@ -6,7 +6,6 @@ Only the beginning is read: up to images of both topics, their calibrations, and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players.logs import topic_discovery as discovery
-from players.logs.containers import Log, Topic, UnreadableMessageError, deserialize
+from players.logs.containers import Log, Topic, UnreadableMessageError, deserialize, first_messages
 from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.synchronizer import default_tolerance_ns
@@ -44,9 +43,6 @@ from players.profile import Profile, guess_profile, load_profile, profiles_with_
 
 _PATIENCE_NS = 10_000_000_000
 """How much more of the log is read for topics without a message, once everything needed has been found."""
-
-_MOST_IMAGES = 300
-"""How many images are looked through for the first one of each topic."""
 
 _HORIZON_NS = 300_000_000_000
 """How much of the log is read to find the links that are needed: a recording in which they come later is refused."""
@@ -235,17 +231,9 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
 
 
 def _contents(log: Log) -> dict[str, discovery.Content]:
-    # The first image of each topic, as far as it comes early.
-    images = {t.name: t for t in log.topics if t.type_name in (IMAGE, COMPRESSED_IMAGE) and t.num_messages != 0}
-    found: dict[str, discovery.Content] = {}
-    for count, message in enumerate(log.messages(images)):
-        if message.topic not in found:
-            with suppress(UnreadableMessageError):
-                image = image_of(images[message.topic], deserialize(images[message.topic], message.data))
-                found[message.topic] = discovery.Content(kind_of(image), image.frame)
-        if len(found) == len(images) or count > _MOST_IMAGES:
-            break
-    return found
+    topics = {topic.name: topic for topic in log.topics}
+    images = [image_of(topics[name], m) for name, m in first_messages(log, (IMAGE, COMPRESSED_IMAGE)).items()]
+    return {image.topic: discovery.Content(kind_of(image), image.frame) for image in images}
 
 
 def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:

@@ -12,36 +12,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from players.logs.containers import Log, LogMessage, UnreadableMessageError, deserialize, own_types
+from players.logs.containers import Log, LogMessage, UnreadableMessageError, deserialize, first_messages, own_types
 from players.logs.joined_log import JoinedLog
 from players.logs.log_damage import Flaws
 from players.messages.images import codec_of
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, VIDEOS
 
-_MOST_MESSAGES = 300
 # Lossless depth.
 _DEPTHS = ("gray10le", "gray12le", "gray16le")
 
 
 def with_video(log: Log) -> Log:
     """Return the log with raw images in place of video, or itself, if it has none or PyAV is not installed."""
-    topics = {t.name: t for t in log.topics if t.type_name in (COMPRESSED_IMAGE, *VIDEOS) and t.num_messages != 0}
-    codecs: dict[str, str] = {}
-    unseen = set(topics)
-    for count, message in enumerate(log.messages(topics)):
-        if message.topic in unseen:
-            unseen.discard(message.topic)
-            with suppress(UnreadableMessageError, AttributeError):
-                packet = _packet_of(deserialize(topics[message.topic], message.data))
-                if codec := codec_of(packet.encoding, packet.data):
-                    codecs[message.topic] = codec
-        if not unseen or count > _MOST_MESSAGES:
-            break
+    packets = {name: _packet_of(m) for name, m in first_messages(log, (COMPRESSED_IMAGE, *VIDEOS)).items()}
+    codecs = {name: codec for name, packet in packets.items() if (codec := codec_of(packet.encoding, packet.data))}
+    if not codecs:
+        return log
     try:
         import av
     except ImportError:
         return log
-    return VideoLog(log, codecs, av) if codecs else log
+    return VideoLog(log, codecs, av)
 
 
 class VideoLog(JoinedLog):
