@@ -57,8 +57,8 @@ class Intrinsics(Ranged):
         camera = Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
         if not has_shape(camera, size):
             raise CalibrationError(
-                f"{where}: the intrinsics are of images of {width}x{height} pixels; images of {size[0]}x{size[1]} are "
-                "not the same, resized: give their own (camera-intrinsics.txt or cam_params.json)"
+                f"{where}: the intrinsics are of images of {width}x{height} pixels, those of {size[0]}x{size[1]} have "
+                "another ratio of sides; add their own as camera-intrinsics.txt or cam_params.json"
             )
         check_center(camera, where)
         return scaled(camera, size)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from players.live.dds_domain import dds_type
 from players.logs.containers import normalized_type
 
 Layout = Literal["bridge", "rmw"]
@@ -90,7 +91,7 @@ def own_token(publication: Publication, zid: str, entity: int, kind: Literal["MS
     durability = _TRANSIENT_LOCAL if publication.is_latched else ""
     return (
         f"@ros2_lv/{publication.domain}/{zid}/0/{entity}/{kind}/%/%/hickory_stream/{topic}/"
-        f"{_dds_type(publication.type_name)}/{publication.hash}/:{durability}:,10:,:,:,,"
+        f"{dds_type(publication.type_name)}/{publication.hash}/:{durability}:,10:,:,:,,"
     )
 
 
@@ -113,7 +114,7 @@ def publishing_key(publication: Publication) -> str:
     """Return the key for publishing; rmw_zenoh's contains the type and its hash."""
     if publication.layout == "bridge":
         return publication.key
-    name, type_name = publication.name.lstrip("/"), _dds_type(publication.type_name)
+    name, type_name = publication.name.lstrip("/"), dds_type(publication.type_name)
     return f"{publication.domain}/{name}/{type_name}/{publication.hash}"
 
 
@@ -135,11 +136,6 @@ def _of_bridge(parts: list[str]) -> Publication | None:
         layout="bridge",
         is_latched=_field(qos, 2) == _TRANSIENT_LOCAL,
     )
-
-
-def _dds_type(type_name: str) -> str:
-    package, _, name = type_name.partition("/msg/")
-    return f"{package}::msg::dds_::{name}_"
 
 
 def _is_hash(text: str) -> bool:

@@ -284,7 +284,8 @@ class LogSource:
             lenses = (self.setup.color_lens.camera, self.setup.depth_lens.camera)
             sizes = " and ".join(f"{camera.width}x{camera.height}" for camera in lenses)
             return CalibrationError(
-                f"{path}: the camera infos are for {sizes} pixels; no pair of images has these sizes"
+                f"{path}: the camera infos are for {sizes} pixels; no pair of images has these sizes; name others with "
+                "--color-info-topic or --depth-info-topic"
             )
         tolerance = f"{self.setup.tolerance_ns / 1e6:.1f} ms"
         return RecordingError(

@@ -113,7 +113,7 @@ def check_depth_encoding(image: LogImage) -> None:
     # A compressed image is recognised by its bytes: drivers write the format string in many ways.
     is_narrow = image.is_compressed and not image.has_wide_pixels
     if (is_narrow and image.is_picture) or (not image.is_compressed and image.encoding not in DEPTH_ENCODINGS):
-        found = f"{'holds JPEG or PNG of 8 bits, ' * is_narrow}is encoded as {image.encoding!r}"
+        found = f"{'holds JPEG or PNG of 8 bits,' if is_narrow else 'is'} encoded as {image.encoding!r}"
         raise RecordingError(
             f"{image.topic} {found}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
             "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
@@ -236,7 +236,7 @@ def check_depth_unit(probe: Probe, units_per_m: float) -> None:
     values_m = np.unique(np.concatenate(found)) if found else np.zeros(0)
     if not values_m.size:
         return
-    expected = "its fractions are lost; expected millimetres in 16UC1, or metres in 32FC1, as the camera measures them"
+    expected = "the fractions are lost; expected millimetres in 16UC1, or metres in 32FC1, as the camera measures them"
     step_m = float(np.diff(values_m).min(initial=np.inf))
     if values_m.size > 2 and step_m > _COARSE_M and np.abs(values_m * 10 - np.round(values_m * 10)).max() < 1e-3:
         steps = f"{values_m.size} values in steps of {step_m:g} m, up to {values_m[-1]:g} m"

@@ -51,6 +51,11 @@ class CameraInfo:
     binning: tuple[int, int] = (1, 1)
     region: tuple[int, int, int, int] = (0, 0, 0, 0)
 
+    @property
+    def layout(self) -> tuple[object, ...]:
+        """Which pixels of the sensor the images have."""
+        return self.size, self.binning, self.region
+
 
 def header_stamp_ns(message: Any) -> int:
     """Return the stamp of a message's header."""

@@ -238,7 +238,7 @@ class PoseReader:
         is_set = info.K[0, 0] > 0
         if known is None or (is_set and not known.K[0, 0] > 0):
             self.infos[topic.name] = info
-        elif is_set and (known.size != info.size or np.abs(known.K - info.K).max() > 1e-6):
+        elif is_set and (known.layout != info.layout or np.abs(known.K - info.K).max() > 1e-6):
             self.fates["camera_info_changed"] += 1
 
     def _add_poses(self, topic: Topic, message: LogMessage, epoch: int | None) -> None:

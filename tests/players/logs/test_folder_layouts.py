@@ -293,7 +293,7 @@ def test_images_resized_since_their_calibration_are_told(tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        ({"w": 80, "h": 45}, "are of images of 80x45 pixels; images of 80x60"),
+        ({"w": 80, "h": 45}, "are of images of 80x45 pixels, those of 80x60"),
         ({"cx": 159.5, "cy": 119.5}, "not those of images of 80x60"),
     ],
 )
@@ -309,5 +309,5 @@ def test_usual_intrinsics_of_a_layout_are_not_of_any_image(tum):
     (tum / "camera-intrinsics.txt").unlink()
     for pattern in ("rgb/*", "depth/*"):
         _resize(tum, pattern, (80, 45))
-    with pytest.raises(CalibrationError, match=r"of 640x480 pixels; images of 80x45.*camera-intrinsics.txt"):
+    with pytest.raises(CalibrationError, match=r"of 640x480 pixels, those of 80x45.*camera-intrinsics.txt"):
         open_source(tum)
