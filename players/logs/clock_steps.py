@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 LEAST_STEP_NS = 30_000_000
 _WINDOW = 15
 _LEAST_KNOWN, _LEAST_MOVED = 5, 3
-_CONFIRM_NS, _MOST_NS, _MOST_HELD = 300_000_000, 1_000_000_000, 2000
+_CONFIRM_NS, _MOST_NS, _MOST_HELD = 300_000_000, 1_000_000_000, 500
 _PATIENCE = 20
 """How often log time may go back, without a step, before the file counts as unordered."""
 

@@ -257,7 +257,7 @@ class PoseReader:
             return
         try:
             info = camera_info_of(deserialize(topic, message.data))
-        except (UnreadableMessageError, ValueError):
+        except (UnreadableMessageError, ValueError, AttributeError):
             self.fates["unreadable_message"] += 1
             return
         self._info_bytes[topic.name] = content
@@ -271,7 +271,7 @@ class PoseReader:
     def _add_poses(self, topic: Topic, message: LogMessage, clock: int) -> None:
         try:
             poses = poses_of(topic.type_name, deserialize(topic, message.data))
-        except UnreadableMessageError:
+        except (UnreadableMessageError, AttributeError):  # A damaged definition lacks fields.
             self.fates["unreadable_message"] += 1
             return
         is_tf = topic.type_name in TF
