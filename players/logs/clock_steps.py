@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, NamedTuple
 
-LEAST_STEP_NS = 30_000_000
+LEAST_STEP_NS, _STEADY_NS = 30_000_000, 100_000_000
 _WINDOW = 15
 _LEAST_KNOWN, _LEAST_MOVED = 5, 3
 _CONFIRM_NS, _MOST_NS, _MOST_HELD = 300_000_000, 1_000_000_000, 500
@@ -78,9 +78,10 @@ class ClockSteps:
         self._num_unordered = 0
 
     def lag_ns(self, topic: str) -> int | None:
-        """Return the usual time from stamp to log time, None for a topic with few messages."""
-        stream = self._streams.get(topic)
-        return int(median(stream.lags_ns)) if stream is not None and len(stream.lags_ns) >= _LEAST_KNOWN else None
+        """Return the usual time from stamp to log time, None if it is not steady or there are few messages."""
+        lags_ns = self._streams[topic].lags_ns if topic in self._streams else ()
+        is_steady = len(lags_ns) >= _LEAST_KNOWN and max(lags_ns) - min(lags_ns) < _STEADY_NS
+        return int(median(lags_ns)) if is_steady else None
 
     def numbered(self, messages: Iterable[Timed]) -> Iterator[tuple[Timed, int]]:
         """Yield each message with the number of steps back before it."""

@@ -90,10 +90,12 @@ def _jittered(spread: int) -> Change:
         _jittered(200 * MS),
         lambda topic, stamp, log: (stamp, log + 600 * MS * (stamp >= MIDDLE)),
         lambda topic, stamp, log: (stamp, log + stamp // 20),
+        lambda topic, stamp, log: (stamp, log // 5),
+        lambda topic, stamp, log: (stamp, log // 5 + log * (stamp >= MIDDLE)),
         lambda topic, stamp, log: (stamp, log + 150 * MS * (topic == "color" and stamp % S < 100 * MS)),
         lambda topic, stamp, log: (stamp - 10 * S * (topic == "tf" and stamp % S < 33 * MS), log),
     ],
-    ids=["stall", "jitter", "much jitter", "lasting delay", "slow drift", "late images", "a wrong stamp"],
+    ids=["stall", "jitter", "much jitter", "lasting delay", "slow drift", "fast replay", "slower replay", "late images", "a wrong stamp"],
 )
 def test_delays_and_single_stamps_are_no_steps(delay):
     clock, numbers = _numbered(_stream(delay))
