@@ -95,7 +95,7 @@ def _jittered(spread: int) -> Change:
         lambda topic, stamp, log: (stamp, log + 150 * MS * (topic == "color" and stamp % S < 100 * MS)),
         lambda topic, stamp, log: (stamp - 10 * S * (topic == "tf" and stamp % S < 33 * MS), log),
     ],
-    ids=["stall", "jitter", "much jitter", "lasting delay", "slow drift", "fast replay", "slower replay", "late images", "a wrong stamp"],
+    ids="stall jitter much-jitter lasting-delay drift fast-replay slower-replay late-images wrong-stamp".split(),
 )
 def test_delays_and_single_stamps_are_no_steps(delay):
     clock, numbers = _numbered(_stream(delay))
