@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from hickory_stream.errors import NoPosesError, RecordingError
 from players.logs.containers import Topic
+from players.logs.robots import shared_parts
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
 from players.options import NO_TOPIC, SourceOptions
 
@@ -116,14 +117,9 @@ def _color_rank(topic: Topic) -> tuple[int, int, str]:
 
 
 def _depth_rank(topic: Topic, color: Topic | None) -> tuple[int, int, int, str]:
-    shared = _shared_parts(topic.name, color.name) if color else 0
+    shared = shared_parts(topic.name, color.name) if color else 0
     points = sum(_DEPTH_POINTS.get(word, 0) for word in _words(topic))
     return shared, points, topic.num_messages or 0, _reversed(topic.name)
-
-
-def _shared_parts(a: str, b: str) -> int:
-    parts = list(zip(a.strip("/").split("/")[:-1], b.strip("/").split("/")[:-1], strict=False))
-    return next((i for i, (x, y) in enumerate(parts) if x != y), len(parts))
 
 
 def _reversed(name: str) -> str:
