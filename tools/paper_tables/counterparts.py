@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.base.json_text import dumps
+from hickory_stream.evaluation.data_sets import CM_PER_M
 from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh
 from hickory_stream.geometry.mesh import Mesh, write_glb
 from hickory_stream.geometry.rigid import invert
@@ -26,7 +27,6 @@ from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.scene import World
 from players import open_source
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.hope import CM_PER_M
 from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP
 from tools.paper_tables.workshop import Plan
 from tools.worlds.layouts import KimeraMultiLog
