@@ -40,6 +40,7 @@ _LEVEL_IMAGES, _AXIS_COSINE = 5, 0.99756405
 FAR_M = 1e6
 """A pose that is so far away is damaged."""
 
+ROLES = ("color", "depth", "camera_info", "pose", "stamps")
 _UNITS = Range(low=1e-3, high=1e9, unit="units in a metre")
 
 Pose = NDArray[np.float64] | None
@@ -145,7 +146,7 @@ class FrameCollector:
         *,
         kind: str,
         depth_intrinsics: Intrinsics | None,
-        streams: dict[str, str],
+        streams: Mapping[str, str] | tuple[str, str, str, str, str],
         text_files: Sequence[Path],
         color_intrinsics: Intrinsics | None = None,
         depth_units_per_m: float | None = None,
@@ -153,6 +154,8 @@ class FrameCollector:
         flaws: Sequence[str] = (),
     ) -> FolderSource:
         """Return the source of all frames; without `depth_intrinsics` every frame has a view.
+
+        `streams` are the origins of the frames by role, a tuple those of `ROLES`.
 
         Raises `RecordingError`: there are no frames, or an image has no size.
         """
@@ -171,6 +174,7 @@ class FrameCollector:
             assert view is not None
             frames.append(FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=pose, view=view))
         world_from_log, up = self._upright(frames)
+        origins = dict(zip(ROLES, streams, strict=True)) if isinstance(streams, tuple) else streams
         content = FolderContent(
             kind=kind,
             sensor=self._profile.sensor,
@@ -182,7 +186,7 @@ class FrameCollector:
             ),
             world_from_log=world_from_log,
             fates=dict(self._fates),
-            streams=(*streams.items(), ("up", up)),
+            streams=(*origins.items(), ("up", up)),
             text_files=tuple(text_files),
             flaws=tuple(flaws),
         )
