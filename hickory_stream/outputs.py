@@ -13,7 +13,7 @@ from hickory_stream.base.json_schema import schema_of
 from hickory_stream.base.json_text import dumps
 
 if TYPE_CHECKING:
-    from hickory_stream.batch.result import Overlap
+    from hickory_stream.batch.result import Overlap, Row
     from hickory_stream.changes.records import ObjectChange
     from hickory_stream.evaluation.trajectory_error import TrajectoryError
     from hickory_stream.map_folder.history.candidates import Candidates
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.history.time_travel import Change
     from hickory_stream.map_folder.verify import Finding
     from hickory_stream.perception.models.library import Companion
-    from players.live.status import TopicStatus
 
 VERSION = 1
 
@@ -50,21 +49,6 @@ class LiveGoals(TypedDict):
     no_path: int
     refused: int
     dropped: int
-
-
-class LiveStatus(TypedDict):
-    """State of a live route by topic; `clock_offset_s` is our clock less the robot's. On standard error."""
-
-    event: Literal["status"]
-    uri: str
-    kind: str
-    has_ended: bool
-    is_connected: bool
-    problem: str
-    clock_offset_s: float | None
-    clock_steps: int
-    unlisted_topics: int
-    topics: list[TopicStatus]
 
 
 class FailedShapes(TypedDict):
@@ -495,29 +479,6 @@ class Estimated(TypedDict):
     error: TrajectoryError | None
 
 
-class BatchLog(TypedDict):
-    """Outcome of a log; `resumed`: it continued an existing map, `was_there`: an earlier run finished it.
-
-    `reason` says why there is no finished map, or what of the log is damaged.
-    """
-
-    log: str
-    map: str
-    was_there: bool
-    name: str
-    state: Literal["mapped", "failed", "disk full"]
-    reason: str
-    digest: str | None
-    processor: str
-    keyframes: int
-    objects: int
-    wall_s: float
-    cpu_s: float
-    map_mb: float
-    resumed: bool
-    worker: str
-
-
 class BatchMerged(TypedDict):
     """One map of several logs; `united` objects are in several of their maps."""
 
@@ -546,7 +507,7 @@ class Batch(TypedDict):
     finished: bool
     stopped: str
     wall_s: float
-    logs: list[BatchLog]
+    logs: list[Row]
     joined: BatchJoined | None
 
 
@@ -572,7 +533,7 @@ OUTPUTS: dict[str, Any] = {
         "The event that `live` waits for before it maps; on standard error, at each change.",
         {"event": Literal["waiting"], "text": str},
     ),
-    "live-status": LiveStatus,
+    "live-status": "players.live.status.LiveStatus",
     "live-published": (
         "Messages of `live --publish` by topic: `sent`, `unheard` (no subscriber) and `dropped`.",
         {"event": Literal["published"], "topics": dict[str, dict[str, int]], "goals": LiveGoals},

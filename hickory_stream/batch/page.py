@@ -33,7 +33,7 @@ def text_of(result: BatchResult) -> str:
     rows = table_of(result)
     widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines += [f"{row.outcome.name}: {row.outcome.reason}" for row in result.rows if row.outcome.reason]
+    lines += [f"{row.name}: {row.reason}" for row in result.rows if row.reason]
     if result.joined is not None:
         lines += _joined_lines(result.joined)
     return "\n".join(visible(line) for line in lines)
@@ -42,7 +42,7 @@ def text_of(result: BatchResult) -> str:
 def write_page(path: Path, result: BatchResult) -> None:
     """Write the page; raises `OSError` when the disk refused."""
     rows = "".join(_html_row(row) for row in result.rows)
-    mapped = sum(row.outcome.state == "mapped" for row in result.rows)
+    mapped = sum(row.state == "mapped" for row in result.rows)
     parts = [
         f"<h1>{mapped} of {len(result.rows)} logs mapped</h1>",
         f"<p class=soft>{html.escape(str(result.out))}, {result.wall_s:.0f} s in this run</p>",
@@ -54,11 +54,10 @@ def write_page(path: Path, result: BatchResult) -> None:
     write_output(path, page("Batch", "".join(parts), _STYLE).encode())
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    one = row.outcome
+def _cells(one: Row) -> tuple[str, ...]:
     if one.state != "mapped":
         return (one.name, one.state, "", "", "", "", "", "", one.worker)
-    state = "mapped before" if row.was_there else "gone on with" if one.resumed else "mapped"
+    state = "mapped before" if one.was_there else "gone on with" if one.resumed else "mapped"
     numbers = (str(one.objects), str(one.keyframes), f"{one.wall_s:.0f}", f"{one.cpu_s:.0f}", f"{one.map_mb:.0f}")
     return (one.name, state, *numbers, (one.digest or "")[:_DIGITS], one.worker)
 
@@ -77,8 +76,8 @@ def _joined_lines(joined: Joined) -> list[str]:
 
 
 def _html_row(row: Row) -> str:
-    kind = "good" if row.outcome.state == "mapped" else "bad"
-    reason = row.outcome.reason
+    kind = "good" if row.state == "mapped" else "bad"
+    reason = row.reason
     cells = list(_cells(row))
     text = f"<tr class={kind}>{_cells_html(cells)}</tr>"
     return text + (f"<tr class={kind}><td colspan={len(cells)}>{html.escape(reason)}</td></tr>" if reason else "")

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from hickory_stream.batch.tasks import LogOutcome
+
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.batch.tasks import LogOutcome
     from hickory_stream.fleet.finish import MergedFrame
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Row:
-    """Outcome of one log, its map, and whether an earlier run made it."""
+class Row(LogOutcome):
+    """Outcome of a log; `was_there`: an earlier run finished it."""
 
-    uri: str
-    map: Path
-    outcome: LogOutcome
+    log: str
+    map: str
     was_there: bool
 
 
@@ -60,4 +60,4 @@ class BatchResult:
     @property
     def is_whole(self) -> bool:
         """Whether every log is mapped, and has objects."""
-        return all(row.outcome.state == "mapped" and row.outcome.objects for row in self.rows)
+        return all(row.state == "mapped" and row.objects for row in self.rows)

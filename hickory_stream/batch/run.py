@@ -109,7 +109,7 @@ def run_batch(plan: BatchPlan, tell: Callable[[str], None] = lambda text: None) 
         rows = tuple(_row(folder, name, uri, before, outcomes) for name, uri in zip(names, plan.uris, strict=True))
         joined = None
         if plan.merges and not stopped:
-            maps = {name: row.map for name, row in zip(names, rows, strict=True) if row.outcome.state == "mapped"}
+            maps = {name: Path(row.map) for name, row in zip(names, rows, strict=True) if row.state == "mapped"}
             joined = join_maps(maps, plan.out, tell)
     finally:
         folder.release()
@@ -162,7 +162,7 @@ def _row(
     outcome = before.get(name) or outcomes.get(name)
     if outcome is None:
         outcome = LogOutcome(name=name, state="failed", reason="not begun, or left as it was")
-    return Row(uri=uri, map=folder.map_path(name), outcome=outcome, was_there=name in before)
+    return Row(**asdict(outcome), log=uri, map=str(folder.map_path(name)), was_there=name in before)
 
 
 def _told_plan(plan: BatchPlan, names: Sequence[str]) -> dict[str, Any]:

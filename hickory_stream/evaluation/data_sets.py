@@ -1,4 +1,4 @@
-"""Truth from the annotations of public data sets: poses of models (BOP), labels of a mesh (ScanNet), boxes (ARKit).
+"""Truth from annotations of public data sets: poses of models (BOP, HOPE), labels of a mesh (ScanNet), boxes (ARKit).
 
 How much of an object was seen is measured on samples of its surface, as for the figures of `evaluate`.
 """
@@ -6,7 +6,7 @@ How much of an object was seen is measured on samples of its surface, as for the
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,10 @@ from players.options import SourceOptions
 from players.poses.interpolation import nearest_rigid
 
 _MODELS = ("models_eval", "models", "models_cad", "models_reconst")
+CM_PER_M = 100.0
+"""HOPE's meshes and the poses of its objects are in centimetres, its cameras in metres."""
+# Annotations of one object of HOPE may disagree by so much.
+_STILL_M = 0.03
 _SAME_OBJECT_M = 0.1
 # What is nearer by so much than an object hides it: depth is noisy.
 _HIDDEN_M, _HIDDEN_SHARE = 0.05, 0.03
@@ -52,9 +56,9 @@ def open_truth(folder: Path) -> Truth:
     if (folder / TRUTH_FILE).exists() or not folder.is_dir() or (layout := layout_of(folder)) is None:
         return load_truth(folder)
     source = layout.open(folder, SourceOptions(odometry="topic"))
-    read = {"BOP scene": _bop, "ScanNet folder": _scannet}.get(source.info.kind)
+    read = {"BOP scene": _bop, "HOPE folder": _hope, "ScanNet folder": _scannet}.get(source.info.kind)
     if read is None or not isinstance(source, FolderSource):
-        expected = "a truth folder, or annotations of BOP or ScanNet"
+        expected = "a truth folder, or annotations of BOP, HOPE or ScanNet"
         raise RecordingError(f"found {folder} of the kind {source.info.kind!r} without truth, expected {expected}")
     truth = read(Path(source.info.uri), source)
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
@@ -94,8 +98,8 @@ def open_boxes(path: Path) -> tuple[TrueBox, ...] | None:
 
 @dataclass(slots=True)
 class _Instance:
-    # An object of a BOP scene: its pose in the world by every image, and by image its place in the list of objects.
-    model: int
+    # An object: its pose in the world by every image, and by image its place in the list of objects.
+    kind: str
     poses: list[NDArray[np.float64]] = field(default_factory=list)
     places: dict[int, int] = field(default_factory=dict)
 
@@ -109,12 +113,12 @@ def _bop(scene: Path, source: FolderSource) -> Truth:
         for place, (model, camera_from_object) in enumerate(objects.get(number, ())):
             if camera_from_object is None:
                 continue
-            pose = files.pose @ camera_from_object
+            kind, pose = f"obj_{model:06d}", files.pose @ camera_from_object
             # Instances of one model are told apart by where they are.
-            near = [one for one in found if one.model == model and index not in one.places]
+            near = [one for one in found if one.kind == kind and index not in one.places]
             apart_m = [float(np.linalg.norm(one.poses[0][:3, 3] - pose[:3, 3])) for one in near]
             if not apart_m or min(apart_m) > _SAME_OBJECT_M:
-                found.append(_Instance(model))
+                found.append(_Instance(kind))
                 near, apart_m = [found[-1]], [0.0]
             one = near[int(np.argmin(apart_m))]
             one.poses.append(pose)
@@ -134,20 +138,50 @@ def _bop(scene: Path, source: FolderSource) -> Truth:
                 shown[mask > 0] = i + 1
         return shown
 
-    meshes = {f"obj_{model:06d}": _model(scene, model) for model in sorted({one.model for one in found})}
+    truth = _posed(scene, source, found, _bop_model)
+    return replace(truth, paint=paint if (scene / "mask_visib").is_dir() else truth.paint)
+
+
+def _hope(scene: Path, source: FolderSource) -> Truth:
+    # An object is one of a class, the n-th of its JSON.
+    found = dict[tuple[str, int], _Instance]()
+    jsons = by_number(scene.glob("*.json"))
+    for index, files in enumerate(source.content.frames):
+        file = jsons[next(iter(by_number([Path(str(files.color))])))]
+        kinds = list[str]()
+        with expecting(file, "objects with class and pose (4x4)"):
+            for place, entry in enumerate(json.loads(read_text(file))["objects"]):
+                kinds.append(str(entry["class"]))
+                camera_from_object = np.array(entry["pose"], dtype=np.float64).reshape(4, 4)
+                camera_from_object[:3, 3] /= CM_PER_M
+                key = (kinds[-1], kinds.count(kinds[-1]))
+                one = found.setdefault(key, _Instance(kinds[-1]))
+                one.poses.append(files.pose @ camera_from_object)
+                one.places[index] = place
+    for (kind, nth), one in found.items():
+        places = np.array([pose[:3, 3] for pose in one.poses])
+        apart_m = float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
+        if apart_m > _STILL_M:
+            raise RecordingError(
+                f"{scene}: {kind} {nth} moves by {apart_m:.2f} m between frames; expected objects that stay in place, "
+                "extrinsics in metres and object poses in centimetres"
+            )
+    return _posed(scene, source, [found[key] for key in sorted(found)], _hope_model)
+
+
+def _posed(scene: Path, source: FolderSource, found: Sequence[_Instance], model: Callable[[Path, str], Mesh]) -> Truth:
     items = tuple(
         TruthObject(
-            id=i + 1,
-            kind=f"obj_{one.model:06d}",
-            mesh=f"obj_{one.model:06d}",
+            id=i,
+            kind=one.kind,
+            mesh=one.kind,
             world_from_object=_middle(one.poses),
             seen_fraction=1.0,
             frames=tuple(sorted(one.places)),
         )
-        for i, one in enumerate(found)
+        for i, one in enumerate(found, start=1)
     )
-    truth = _truth(scene, source, items, meshes)
-    return replace(truth, paint=paint if (scene / "mask_visib").is_dir() else truth.paint)
+    return _truth(scene, source, items, {kind: model(scene, kind) for kind in sorted({one.kind for one in found})})
 
 
 def _middle(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -156,12 +190,16 @@ def _middle(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     return poses[int(np.linalg.norm(places - np.median(places, axis=0), axis=1).argmin())]
 
 
-def _model(scene: Path, model: int) -> Mesh:
-    files = [scene.parent.parent / folder / f"obj_{model:06d}.ply" for folder in _MODELS]
+def _bop_model(scene: Path, kind: str) -> Mesh:
+    files = [scene.parent.parent / folder / f"{kind}.ply" for folder in _MODELS]
     file = next((file for file in files if file.is_file()), None)
     if file is None:
         raise RecordingError(f"{scene.parent.parent} has no {files[0].name} in {', '.join(_MODELS)}")
-    return _read_ply(file, 1000.0)
+    return _read_mesh(file, 1000.0)
+
+
+def _hope_model(scene: Path, kind: str) -> Mesh:
+    return _read_mesh(scene.parent.parent / "meshes" / "eval" / f"{kind}.obj", CM_PER_M)
 
 
 def _scannet(scene: Path, source: FolderSource) -> Truth:
@@ -169,7 +207,7 @@ def _scannet(scene: Path, source: FolderSource) -> Truth:
         _annotation(scene, ending)
         for ending in ("_vh_clean_2.ply", "_vh_clean_2.0.010000.segs.json", "[0-9].aggregation.json")
     )
-    whole = moved_mesh(_read_ply(mesh_file, 1.0), source.content.world_from_log)
+    whole = moved_mesh(_read_mesh(mesh_file, 1.0), source.content.world_from_log)
     with expecting(segments_file, f"segIndices of the {len(whole.vertices)} vertices of {mesh_file.name}"):
         segments = np.array(json.loads(read_text(segments_file))["segIndices"], dtype=np.int64)
         if segments.shape != (len(whole.vertices),):
@@ -262,13 +300,13 @@ def _part(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     )
 
 
-def _read_ply(file: Path, units_per_m: float) -> Mesh:
+def _read_mesh(file: Path, units_per_m: float) -> Mesh:
     import trimesh
 
     try:
         # From a stream, so that no texture is looked for.
         with file.open("rb") as stream:
-            found: Any = trimesh.load(stream, file_type="ply", force="mesh", process=False)
+            found: Any = trimesh.load(stream, file_type=file.suffix[1:], force="mesh", process=False)
         vertices, faces = np.asarray(found.vertices) / units_per_m, np.asarray(found.faces)
         if not (len(faces) and np.isfinite(vertices).all() and 0 <= faces.min() and faces.max() < len(vertices)):
             raise ValueError("no triangles")

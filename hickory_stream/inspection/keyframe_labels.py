@@ -1,7 +1,6 @@
 """The label of each pixel of a recorded keyframe: mask, rejected mask (and why), structure, or none.
 
-The journal keeps masks at full resolution, depth and structure at a reduced one. Older journals lack depth: structure
-then comes from the keyframe's structure voxels of 5 cm.
+The journal keeps masks at full resolution, depth and structure at a reduced one.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.coarse import enlarged_cells
 
 if TYPE_CHECKING:
@@ -34,8 +32,6 @@ _WHERE: dict[int, Where] = {
     TOO_FAR: "too far",
 }
 LEAST_CODE = TOO_FAR
-# A point within this distance of a structure voxel lies on it; it covers the depth noise.
-_SLACK_M = 0.015
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,12 +73,9 @@ def range_of(config: MapperConfig) -> Range:
 
 
 def seen_as(keyframe: RecordedKeyframe, reach: Range) -> SeenAs:
-    """Return the label of each pixel of a keyframe; without coarse depth, pixels outside all masks have `NO_MASK`."""
-    observed, camera = keyframe.observed, keyframe.camera
-    size = (camera.width, camera.height)
-    codes = np.zeros((camera.height, camera.width), dtype=np.int32)
-    if observed.coarse is not None:
-        codes = enlarged_cells(_codes_of_cells(observed.coarse, reach), observed.coarse.stride_px, size).copy()
+    """Return the label of each pixel of a keyframe; raises `MapFolderError` if the journal has no depth of it."""
+    observed, camera, coarse = keyframe.observed, keyframe.camera, keyframe.coarse
+    codes = enlarged_cells(_codes_of_cells(coarse, reach), coarse.stride_px, (camera.width, camera.height)).copy()
     count = len(observed.observations)
     for i, rejected in reversed(list(enumerate(observed.rejected))):
         x0, y0, x1, y1 = rejected.box_px
@@ -103,9 +96,7 @@ def code_at(keyframe: RecordedKeyframe, pixel: tuple[float, float], reach: Range
     for i, ((x0, y0, x1, y1), mask) in enumerate(masks):
         if mask is not None and x0 <= column < x1 and y0 <= row < y1 and mask[row - y0, column - x0]:
             return i + 1
-    if observed.coarse is None:
-        return NO_MASK
-    cells, stride = _codes_of_cells(observed.coarse, reach), observed.coarse.stride_px
+    cells, stride = _codes_of_cells(keyframe.coarse, reach), keyframe.coarse.stride_px
     return int(cells[min(row // stride, len(cells) - 1), min(column // stride, cells.shape[1] - 1)])
 
 
@@ -116,18 +107,6 @@ def _codes_of_cells(coarse: CoarseFrame, reach: Range) -> NDArray[np.int32]:
     cells[(depth_m < reach.nearest_m) & (coarse.depth_mm > 0)] = TOO_NEAR
     cells[depth_m > reach.farthest_m] = TOO_FAR
     return cells
-
-
-def on_structure(keyframe: RecordedKeyframe, points_odometry: NDArray[np.float64], voxel_m: float) -> NDArray[np.bool_]:
-    """Return which of (N, 3) points lie in structure voxels of the keyframe, or within the depth noise of one."""
-    keys = keyframe.observed.space.structure_keys
-    found = contains(keys, keys_of_points(points_odometry, voxel_m))
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            step = np.zeros(3)
-            step[axis] = sign * _SLACK_M
-            found |= contains(keys, keys_of_points(points_odometry + step, voxel_m))
-    return np.asarray(found)
 
 
 def rays_of(camera: Camera, pixels: NDArray[Any]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """The history of the point that one pixel of a frame shows.
 
-The point comes from the mask at the pixel, from recorded depth or structure, or from the log.
+The point comes from the mask at the pixel, from recorded depth, or from the log.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera, project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.inspection.keyframe_labels import code_at, range_of, rays_of
 from hickory_stream.inspection.point_history import AskedPixel, PlaceStory, story_of_point
 from hickory_stream.inspection.point_sighting import meaning_of_code
@@ -29,13 +28,8 @@ from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.perception.coarse import cells_of
 
-# Step length along a ray, short enough to enter every voxel of structure on it, and the length of the ray.
-_MARCH_M, _MARCH_TO_M = 0.025, 10.0
 
-
-def place_in_keyframe(
-    keyframe: RecordedKeyframe, pixel: tuple[float, float], code: int, voxel_m: float
-) -> NDArray[np.float64] | None:
+def place_in_keyframe(keyframe: RecordedKeyframe, pixel: tuple[float, float], code: int) -> NDArray[np.float64] | None:
     """Return the point (3,) in the map that a pixel of a keyframe shows, None if the journal does not determine it."""
     observed, camera = keyframe.observed, keyframe.camera
     map_from_camera = keyframe.map_from_odometry @ observed.world_from_camera
@@ -44,10 +38,7 @@ def place_in_keyframe(
         in_image = project(apply(invert(observed.world_from_camera), points), camera)
         nearest = points[int(np.nanargmin(np.linalg.norm(in_image - np.array(pixel), axis=1)))]
         return np.asarray(apply(keyframe.map_from_odometry, nearest[None])[0])
-    if observed.coarse is not None:
-        depth_m = float(cells_of(observed.coarse, np.array([pixel]).round())[0][0])
-    else:
-        depth_m = _depth_of_structure(keyframe, pixel, voxel_m)
+    depth_m = float(cells_of(keyframe.coarse, np.array([pixel]).round())[0][0])
     if not np.isfinite(depth_m):
         return None
     return np.asarray(apply(map_from_camera, rays_of(camera, np.array([pixel])) * depth_m)[0])
@@ -70,14 +61,6 @@ def check_pixel(pixel: tuple[float, float], camera: Camera) -> None:
             f"found the pixel {pixel[0]:g},{pixel[1]:g}, expected a column of 0 to {camera.width - 1} and a row of 0 "
             f"to {camera.height - 1}"
         )
-
-
-def _depth_of_structure(keyframe: RecordedKeyframe, pixel: tuple[float, float], voxel_m: float) -> float:
-    depths_m = np.arange(_MARCH_M, _MARCH_TO_M, _MARCH_M)
-    ray = rays_of(keyframe.camera, np.array([pixel]))
-    points = apply(keyframe.observed.world_from_camera, ray * depths_m[:, None])
-    met = contains(keyframe.observed.space.structure_keys, keys_of_points(points, voxel_m))
-    return float(depths_m[np.argmax(met)]) if met.any() else float("nan")
 
 
 def story_of_pixel(
@@ -127,7 +110,7 @@ def _story_of_keyframe_pixel(
     code = code_at(keyframe, pixel, range_of(config))
     _, _, text = meaning_of_code(keyframe, code, book)
     asked = AskedPixel(frame=frame, pixel=pixel, text=text)
-    point = place_in_keyframe(keyframe, pixel, code, config.mapping.voxels.space_m)
+    point = place_in_keyframe(keyframe, pixel, code)
     if point is None and depth_of is not None:
         map_from_camera = keyframe.map_from_odometry @ keyframe.observed.world_from_camera
         point = place_by_depth(depth_of(keyframe.observed.stamp_ns), pixel, keyframe.camera, map_from_camera)

@@ -27,7 +27,6 @@ _IN_WORDS: dict[PlaceWhere, str] = {
     "no mask": "in no mask",
     "hidden": "hidden",
     "looked through": "looked through",
-    "unknown": "unknown",
 }
 
 

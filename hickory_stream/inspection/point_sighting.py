@@ -9,14 +9,12 @@ import numpy as np
 
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.inspection.keyframe_labels import (
     NO_DEPTH,
     NO_MASK,
     STRUCTURE,
     Where,
     code_at,
-    on_structure,
     range_of,
     where_of,
 )
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.history.track_histories import TrackHistories
     from hickory_stream.records import Observation
 
-PlaceWhere = Literal[Where, "hidden", "looked through", "unknown"]
+PlaceWhere = Literal[Where, "hidden", "looked through"]
 
 AT_M = 0.03
 """Largest distance from a point at which a surface or a mask still belongs to it."""
@@ -43,8 +41,7 @@ _NOISE_M = 0.012
 class PlaceSighting:
     """The label of a point in one keyframe; `pixel` is its projection, `distance_m` its distance from the camera.
 
-    "hidden": a nearer surface occludes the point; "looked through": the depth is behind it; "unknown": the journal is
-    too old to contain depth.
+    "hidden": a nearer surface occludes the point; "looked through": the depth is behind it.
     """
 
     frame: int
@@ -105,31 +102,21 @@ def _taken_for(
     book: TrackHistories,
 ) -> tuple[PlaceWhere, int | None, str]:
     """Return the label of a point (1, 3) in the odometry's world, the index of its observation, and both in words."""
-    observed, voxel_m = keyframe.observed, config.mapping.voxels.space_m
+    observed = keyframe.observed
     noise_m = AT_M + _NOISE_M * depth_m * depth_m
     index = _nearest_observation(observed.observations, point, min(noise_m, 2 * AT_M))
     if index is not None:
         return "mask", index, _mask_text(keyframe, index, book)
     code = code_at(keyframe, pixel, range_of(config))
     where, seen_there = where_of(code, len(observed.observations)), meaning_of_code(keyframe, code, book)
-    if observed.coarse is not None:
-        measured_m = float(cells_of(observed.coarse, np.array([pixel]).round())[0][0])
-        if not np.isfinite(measured_m):
-            return seen_there if where == "rejected mask" else ("no depth", None, "no depth there")
-        if measured_m < depth_m - noise_m:
-            return "hidden", None, f"hidden by {_name_of(keyframe, code, book)}"
-        if measured_m > depth_m + noise_m:
-            return "looked through", None, "looked through: what is seen there lies behind"
-        return seen_there
-    if where == "rejected mask":
-        return seen_there
-    if on_structure(keyframe, point, voxel_m)[0]:
-        return "structure", None, "taken for structure"
-    if contains(observed.space.free_keys, keys_of_points(point, voxel_m))[0]:
+    measured_m = float(cells_of(keyframe.coarse, np.array([pixel]).round())[0][0])
+    if not np.isfinite(measured_m):
+        return seen_there if where == "rejected mask" else ("no depth", None, "no depth there")
+    if measured_m < depth_m - noise_m:
+        return "hidden", None, f"hidden by {_name_of(keyframe, code, book)}"
+    if measured_m > depth_m + noise_m:
         return "looked through", None, "looked through: what is seen there lies behind"
-    if where == "mask":
-        return "hidden", None, f"hidden by, or at the edge of, {_name_of(keyframe, code, book)}"
-    return "unknown", None, "in no mask, and neither structure nor free (the journal is too old to have depth)"
+    return seen_there
 
 
 def _mask_text(keyframe: RecordedKeyframe, index: int, book: TrackHistories) -> str:

@@ -259,6 +259,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         topics = (setup.topics.color, setup.topics.depth)
         color, depth = (stats[topic.name].stamps(uses_log_time=setup.uses_log_time) for topic in topics)
         judge_ends(found, color, depth)
+        findings = played.findings()
+        found.problems += [text for text, is_harmful in findings.items() if is_harmful]
+        found.notes[:0] = [text for text, is_harmful in findings.items() if not is_harmful]
         apart_ms = nearest_ms(color, depth)
         counts, edges = np.histogram(np.clip(apart_ms, -250, 250), bins=50)
         within = np.abs(apart_ms) <= setup.tolerance_ns / 1e6
@@ -386,10 +389,8 @@ def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
             )
         # How far a robot's clock is from ours is one figure, which its status has.
         # Some recorders count from zero.
-        if (
-            1.0 < abs(figures.get("log_offset_s") or 0) < _OWN_CLOCK_S
-            and not figures.get("unset_stamps")
-            and not is_heard
+        if 1.0 < abs(figures.get("log_offset_s") or 0) < _OWN_CLOCK_S and not (
+            figures.get("unset_stamps") or is_heard or name.endswith("tf_static")
         ):
             found.notes.append(f"{name}: recorded {figures['log_offset_s']} s after its header stamps")
         if figures["type"] == "":

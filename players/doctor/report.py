@@ -96,13 +96,14 @@ def ledger_table(account: dict[str, Any]) -> str:
 
 
 def damage_line(ledger: dict[str, Any]) -> str:
-    """Return the damage of a run's log in one line; "" if it is sound or has no messages."""
+    """Return the damage of a run's log in one line, its other faults in one each; "" for a sound or no log."""
     account = ledger.get("messages") or {}
-    number = account.get("damaged_places")
-    if not number:
-        return ""
-    places = "1 damaged place" if number == 1 else f"{number} damaged places"
-    return f"the log has {places}, and what lies outside was played; the first: {account['damage'][0]} (see `doctor`)"
+    number, lines = account.get("damaged_places"), list(account.get("findings", ()))
+    if number:
+        places = "1 damaged place" if number == 1 else f"{number} damaged places"
+        first = account["damage"][0]
+        lines.insert(0, f"the log has {places}, and what lies outside was played; the first: {first} (see `doctor`)")
+    return "\n".join(lines)
 
 
 def _counts(counts: dict[str, int]) -> str:

@@ -92,6 +92,7 @@ def _rename(found: Diagnosis, path: Path, refusal: str | None) -> None:
 
 def _note_status(found: Diagnosis, status: LiveStatus) -> None:
     found.live = {**status.as_dict(), "table": status_table(status).splitlines()}
+    del found.live["event"]
     note = status.problem or ("the stream has ended" if status.has_ended else "")
     found.notes += [note] if note else []
     found.problems += [f"{entry.topic}: {entry.problem}" for entry in status.topics if entry.problem]

@@ -5,7 +5,7 @@ An attempt opens the messages so far as a log. It is repeated until it succeeds 
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,14 +18,12 @@ from players.live.recorder import Recorder
 from players.live.routes import is_recording, route_of
 from players.live.status import ROLES, LiveStatus, status_of
 from players.live.transport import LiveSource, ReturnLink
-from players.logs.containers import Topic
 from players.logs.log_opening import choose_profile, open_log
 from players.logs.log_source import LogSource
 from players.logs.message_account import Account, TopicAccount
+from players.logs.robots import other_robots
 from players.logs.topic_discovery import camera_infos, choose_images, pose_topics, tf_topics
-from players.messages.records import POSE_TYPES, TF
 from players.options import SourceOptions
-from players.profile import Profile
 
 DEFAULT_PATIENCE_S = 60.0
 DEFAULT_ATTEMPT_S = 2.0
@@ -147,25 +145,6 @@ def open_live(
     return LiveMapSource(route, log, source, recorder)
 
 
-def of_other_robots(path: object, topics: Sequence[Topic], options: SourceOptions, profile: Profile) -> Iterator[str]:
-    """Yield the pose and transform topics of other robots, whose frames may have equal names.
-
-    The namespace of its /tf identifies a robot; without one, all topics belong to the camera's robot.
-    """
-    robots = {topic.name.rpartition("/")[0] for topic in tf_topics(topics)}
-    if len(robots) < 2:
-        return
-    color = choose_images(path, topics, options, profile.topics).color.name
-    own = max((robot for robot in robots if color.startswith(f"{robot}/")), key=len, default=None)
-    if own is None:
-        return
-    for topic in topics:
-        if topic.type_name in (*TF, *POSE_TYPES):
-            robot = max((robot for robot in robots if topic.name.startswith(f"{robot}/")), key=len, default=own)
-            if robot != own and not own.startswith(f"{robot}/") and robot:
-                yield topic.name
-
-
 def _check_poses_are_heard(uri: str, options: SourceOptions) -> None:
     for option, value, usual in (
         ("--odometry", options.odometry, ("auto", "topic")),
@@ -220,14 +199,14 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
     if not topics:
         raise RecordingError(f"{log.path} has announced no topics")
     profile, _ = choose_profile(topics, options)
-    log.hidden = frozenset(of_other_robots(log.path, topics, options, profile))
-    topics = log.topics
-    # Announced topics are subscribed to even if others are missing.
-    small = {topic.name for topic in [*tf_topics(topics), *camera_infos(topics)]}
     try:
-        poses = [] if options.pose_file else pose_topics(log.path, topics, options, profile.topics.get("pose", ()))
         images = choose_images(log.path, topics, options, profile.topics)
+        log.hidden = other_robots(log.path, topics, images.color.name, options)
+        listed = profile.topics.get("pose", ())
+        poses = [] if options.pose_file else pose_topics(log.path, log.topics, options, listed)
     finally:
+        # Announced topics are subscribed to even if others are missing.
+        small = {topic.name for topic in [*tf_topics(log.topics), *camera_infos(topics)]}
         route.subscribe(small)
     wanted = small | {topic.name for topic in (*poses, images.color, images.depth)}
     log.roles = dict.fromkeys((topic.name for topic in poses), "pose")

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from players.live.inbox import Arrivals
 from players.live.live_log import LiveLog
@@ -38,7 +38,7 @@ class TopicStatus:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LiveStatus:
-    """The current state of a route."""
+    """The current state of a route, by topic; on standard error."""
 
     uri: str
     kind: str
@@ -51,6 +51,7 @@ class LiveStatus:
     clock_steps: int
     unlisted_topics: int
     topics: tuple[TopicStatus, ...]
+    event: Literal["status"] = "status"
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for JSON."""

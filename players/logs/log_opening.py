@@ -17,6 +17,7 @@ from players.logs import topic_discovery as discovery
 from players.logs.containers import Log, Topic, UnreadableMessageError, deserialize, first_messages
 from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
+from players.logs.robots import other_robots
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
 from players.logs.video_log import with_video
@@ -36,7 +37,7 @@ from players.messages.images import (
 )
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
-from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, plan_poses
+from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, own_parent_text, plan_poses
 from players.poses.pose_file import read_pose_file
 from players.poses.tf import FrameTree
 from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
@@ -64,6 +65,8 @@ class Opening:
     plan: PosePlan | None
     is_pose_named: bool
     pose_file: tuple[list[int], list[list[float]]] | None
+    #: The topics of other robots.
+    others: frozenset[str] = frozenset()
 
     @property
     def max_gap_ns(self) -> int:
@@ -124,6 +127,7 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     color_lens = _lens(opening.reader, color_info, opening.color)
     depth_info, depth_lens = _depth_lens(opening, color_info, color_lens)
     color_from_depth, extrinsics = _color_from_depth(opening, color_image.frame, depth_image.frame)
+    depth_ends = (color_image.frame, depth_image.frame) if extrinsics.startswith("TF") else None
     estimates = options.estimates_poses
     try:
         plan = opening.plan or (UNPOSED if estimates else _plan(opening, color_image.frame))
@@ -141,7 +145,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     if opening.pose_file is not None:
         clock_reason += f"; poses of {options.pose_file}"
     used = {plan.stream.topic} if plan.stream is not None else set()
-    small = [t for t in log.topics if t.name in used or t.type_name in TF or t.name in (color_info, depth_info)]
+    used |= {topic.name for topic in log.topics if topic.type_name in TF} - opening.others | {color_info, depth_info}
+    small = [topic for topic in log.topics if topic.name in used]
     profile = opening.profile
     guess = " (guessed from the topics)" if opening.is_profile_guessed else ""
     setup = LogSetup(
@@ -166,6 +171,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
         tree=opening.reader.tree(),
         rig=profile.rig,
         color_frame=color_image.frame,
+        depth_ends=depth_ends,
+        findings=_findings(opening, plan),
         streams=(
             *([("profile", f"{profile.name}{guess}")] if profile.name else []),
             ("color", opening.topics.color.name),
@@ -197,12 +204,14 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
     log = log if is_live else with_video(log)
     contents = {} if is_live else _contents(log)
     topics = discovery.choose_images(log.path, log.topics, options, profile.topics, contents)
-    poses = [] if options.pose_file else _pose_topics(log, options, profile)
+    others = other_robots(log.path, log.topics, topics.color.name, options)
+    of_robot = [topic for topic in log.topics if topic.name not in others]
+    poses = [] if options.pose_file else _pose_topics(log, of_robot, options, profile)
     is_named = options.pose_topic not in (None, NO_TOPIC) or (
         bool(profile.topics.get("pose")) and any(topic.name in profile.topics["pose"] for topic in poses)
     )
     is_named = is_named and not all(topic.type_name in TF for topic in poses)
-    wanted = [*poses, *discovery.tf_topics(log.topics), *discovery.camera_infos(log.topics)]
+    wanted = [*poses, *discovery.tf_topics(of_robot), *discovery.camera_infos(log.topics)]
     max_gap_ns = options.max_pose_gap_ns or profile.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS
     reader = PoseReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
     pose_file = None
@@ -226,6 +235,7 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
         plan=None,
         is_pose_named=is_named or pose_file is not None,
         pose_file=pose_file,
+        others=others,
     )
     return _filled(opening, {topic.name for topic in wanted if topic.num_messages != 0})
 
@@ -236,9 +246,9 @@ def _contents(log: Log) -> dict[str, discovery.Content]:
     return {image.topic: discovery.Content(kind_of(image), image.frame) for image in images}
 
 
-def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:
+def _pose_topics(log: Log, topics: Sequence[Topic], options: SourceOptions, profile: Profile) -> list[Topic]:
     try:
-        return discovery.pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
+        return discovery.pose_topics(log.path, topics, options, profile.topics.get("pose", ()))
     except NoPosesError:
         if not options.estimates_poses:
             raise
@@ -327,6 +337,7 @@ def _plan(opening: Opening, camera_frame: str) -> PosePlan:
         opening.log.path,
         opening.reader,
         camera_frame,
+        color_topic=opening.topics.color.name,
         pose_frame=options.pose_frame,
         is_named=opening.is_pose_named,
         rig=profile.rig if options.pose_frame is None else None,
@@ -388,11 +399,20 @@ def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> t
     if opening.profile.name and any(opening.profile.color_from_depth_m):
         translation = np.array(opening.profile.color_from_depth_m)
         return from_rotation_translation(np.eye(3), translation), f"profile {name}: a translation"
+    known = "; ".join([", ".join(sorted(tree.edges)) or "none", *opening.reader.harm()])
     raise CalibrationError(
         f"{opening.log.path}: no static transform from the depth's frame {depth_frame} to the colour's {color_frame}; "
-        f"frames of TF: {', '.join(sorted(tree.edges)) or 'none'}. Record /tf_static, name a --profile with the links "
-        "of this camera, or name depth that is registered to the colour with --depth-topic"
+        f"frames of TF: {known}. Record /tf_static, name a --profile with the links of this camera, or name depth that "
+        "is registered to the colour with --depth-topic"
     )
+
+
+def _findings(opening: Opening, plan: PosePlan) -> tuple[str, ...]:
+    streams = opening.reader.streams() if opening.options.pose_frame is None else ()
+    texts = [own_parent_text(stream) for stream in streams if stream.is_own_parent and stream != plan.stream]
+    if opening.others:
+        texts.append(f"{', '.join(sorted(opening.others))} are left out: they lie in the namespace of another robot")
+    return tuple(texts)
 
 
 def _span(reader: PoseReader, plan: PosePlan) -> tuple[int, int] | None:

@@ -44,3 +44,6 @@ class LogSetup:
     tree: FrameTree | None = None
     rig: RigLinks | None = None
     color_frame: str = ""
+    #: The frames of colour and depth if TF connects them.
+    depth_ends: tuple[str, str] | None = None
+    findings: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ import numpy as np
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
+from players.logs.clock_steps import ClockSteps, Timed
 from players.logs.containers import Log, LogMessage, Topic, UnreadableMessageError, deserialize, files_identity
 from players.logs.message_account import Account, Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
@@ -25,7 +26,7 @@ from players.messages.depth_registration import Registration, register_depth, wi
 from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.images import LogImage, color_of, depth_of, image_of
 from players.messages.point_clouds import scan_of
-from players.messages.records import POINT_CLOUD
+from players.messages.records import CAMERA_INFO, POINT_CLOUD
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from players.logs.log_damage import Flaws
     from players.logs.log_setup import LogSetup
     from players.messages.calibration import Lens
+    from players.poses.tf import FrameTree
 
 logger = logging.getLogger(__name__)
 
@@ -44,6 +46,8 @@ _PATIENCE_NS = 500_000_000
 
 _KEPT_NS = 5_000_000_000
 """How long poses older than the current frame are kept."""
+
+_LAG_NS, _OTHER_CLOCK_NS = 200_000_000, 60_000_000_000
 
 _KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
 _FORGET_EVERY = 5000
@@ -61,6 +65,9 @@ class LogSource:
         self._log = log
         self.setup = setup
         self._ledger = Ledger()
+        self._plan, self._registration = setup.plan, setup.registration
+        self._clock = ClockSteps()
+        self._reader: PoseReader | None = None
         first = next(self.frames(), None)
         if first is None:
             raise self._why_empty()
@@ -76,6 +83,12 @@ class LogSource:
             end_ns=None,
             streams=setup.streams,
         )
+
+    def findings(self) -> Mapping[str, bool]:
+        """Return faults of transforms and clocks, of the opening and the latest pass, and whether each does harm."""
+        found = self._reader.faults() if self._reader is not None else {}
+        lag = dict.fromkeys([text] if (text := self._lag_text()) else [], False)
+        return {**dict.fromkeys(self.setup.findings, False), **self._clock.texts, **lag, **found}
 
     def with_plan(self, plan: PosePlan) -> LogSource:
         """Return the same log with poses from another plan.
@@ -95,6 +108,9 @@ class LogSource:
         ledger = self._ledger = Ledger()
         setup = self.setup
         reader = PoseReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
+        self._plan, self._registration = setup.plan, setup.registration
+        self._clock, self._reader = ClockSteps(), reader
+        num_static = 0
         if setup.pose_file is not None and setup.plan.stream is not None:
             reader.load(setup.plan.stream, *setup.pose_file)
         waiting: deque[tuple[int, Pair]] = deque()
@@ -114,6 +130,8 @@ class LogSource:
                 ledger.reject(match[1].item.topic, fate)
             else:
                 waiting.append((match[0], match[1]))
+            if num_static < reader.num_static and self._relink(reader.tree()):
+                num_static = reader.num_static
             while waiting and (is_ended or self._is_settled(*waiting[0], reader, newest)):
                 epoch, pair = waiting.popleft()
                 frame = self._frame(index, pair, epoch, last_ns, ledger, reader)
@@ -166,7 +184,7 @@ class LogSource:
 
     def account(self) -> Account:
         """Return the ledger of every message in the latest pass."""
-        return account_of(self._log, self.setup, self._ledger)
+        return replace(account_of(self._log, self.setup, self._ledger), findings=tuple(self.findings()))
 
     def close(self) -> None:
         """Do nothing: each pass over the log opens and closes its own files."""
@@ -178,10 +196,10 @@ class LogSource:
         topics = self.setup.topics
         roles = {topics.color.name: ("color", topics.color), topics.depth.name: ("depth", topics.depth)}
         timelines = {name: Timeline() for name in roles}
-        for message in self._log.messages({*roles, *(topic.name for topic in self.setup.small_topics)}):
-            ledger.read[message.topic] += 1
+        for timed, clock in self._timed(ledger):
+            message = timed.message
             if message.topic not in roles:
-                reader.add(message)
+                reader.add(message, clock)
                 if self.setup.is_live:
                     if ledger.read[message.topic] % _FORGET_EVERY == 0:
                         # Poses are otherwise dropped per frame: without images, a camera that is off would fill the
@@ -190,10 +208,9 @@ class LogSource:
                     yield 0, None
                 continue
             stream, topic = roles[message.topic]
-            stamp_ns = message.log_ns if self.setup.uses_log_time else serialized_stamp_ns(topic, message.data)
-            if stamp_ns is None:
-                stamp_ns = message.log_ns  # Too short for a header, hence unreadable.
-            for placed in timelines[message.topic].add(stamp_ns, message):
+            # Without a stamp it is too short for a header, hence unreadable.
+            stamp_ns = message.log_ns if timed.stamp_ns is None else timed.stamp_ns
+            for placed in timelines[message.topic].add(stamp_ns, message, clock):
                 if placed.order in (Order.OFF, Order.DUPLICATE):
                     fate = f"{stream}_stamp_off" if placed.order is Order.OFF else f"duplicate_{stream}"
                     ledger.count(fate)
@@ -208,6 +225,37 @@ class LogSource:
                 ledger.count(f"{roles[name][0]}_stamp_off")
                 ledger.reject(name, f"{roles[name][0]}_stamp_off")
 
+    def _timed(self, ledger: Ledger) -> Iterator[tuple[Timed, int]]:
+        # The messages with their header stamps, and how often the clock was set back before each.
+        setup = self.setup
+        topics = {topic.name: topic for topic in (*setup.small_topics, setup.topics.color, setup.topics.depth)}
+        unstamped = {name for name, topic in topics.items() if topic.type_name == CAMERA_INFO or "tf_static" in name}
+        uses_log = setup.uses_log_time
+
+        def messages() -> Iterator[Timed]:
+            for message in self._log.messages(set(topics)):
+                name = message.topic
+                ledger.read[name] += 1
+                stamped = not uses_log and name not in unstamped
+                stamp_ns = serialized_stamp_ns(topics[name], message.data) if stamped else None
+                yield Timed(name, stamp_ns, message.log_ns, message)
+
+        if uses_log or setup.is_live:
+            return ((timed, 0) for timed in messages())
+        return self._clock.numbered(messages())
+
+    def _relink(self, tree: FrameTree) -> bool:
+        # Static links hold from where they are published; until all have come, those of the opening do.
+        plan = self._plan.relinked(tree)
+        chain = tree.chain(*self.setup.depth_ends) if self.setup.depth_ends else None
+        color_from_depth = chain.at(0) if chain is not None and chain.is_static else None
+        if plan is None or (color_from_depth is None and self.setup.depth_ends):
+            return False
+        self._plan = plan
+        if color_from_depth is not None:
+            self._registration = replace(self._registration, color_from_depth=color_from_depth)
+        return True
+
     def _image(self, topic: Topic, message: LogMessage, stamp_ns: int, ledger: Ledger) -> LogImage | None:
         try:
             return image_of(topic, deserialize(topic, message.data), stamp_ns)
@@ -219,30 +267,30 @@ class LogSource:
 
     def _is_settled(self, epoch: int, pair: Pair, reader: PoseReader, newest: dict[int, int]) -> bool:
         needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
-        if self.setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
+        if self._plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
             return True
         return newest[epoch] - pair.stamp_ns > self.setup.max_gap_ns + _PATIENCE_NS
 
     def _moves_depth(self, pair: Pair) -> bool:
         # Log times are not the times of exposure.
         is_apart = pair.depth_stamp_ns != pair.stamp_ns
-        return is_apart and not self.setup.uses_log_time and not self.setup.registration.is_identity
+        return is_apart and not self.setup.uses_log_time and not self._registration.is_identity
 
-    def _registration(
+    def _registration_of(
         self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: PoseReader
     ) -> Registration:
-        registration = self.setup.registration
-        then = self.setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
+        registration = self._registration
+        then = self._plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
         return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
 
     def _frame(
         self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: PoseReader
     ) -> RawFrame | None:
-        registration = self.setup.registration
+        registration = self._registration
         if not (_has_size(pair.color, self.setup.color_lens) and _has_size(pair.depth, self.setup.depth_lens)):
             self._refuse(pair, "frame_of_other_size", ledger)
             return None
-        plan = self.setup.plan
+        plan = self._plan
         world_from_camera = plan.at(pair.stamp_ns, epoch, reader)
         is_posed = world_from_camera is not None and plan is not UNPOSED
         if world_from_camera is None:
@@ -254,7 +302,7 @@ class LogSource:
         jump = plan.jump_between(last_ns, pair.stamp_ns, epoch, reader) if last_ns is not None else None
         if jump is not None:
             ledger.count("pose_jumps")
-        registered = self._registration(pair, world_from_camera, epoch, reader)
+        registered = self._registration_of(pair, world_from_camera, epoch, reader)
         is_passed_on = pair.color.is_compressed and not self.setup.color_lens.is_distorted
         return RawFrame(
             index=index,
@@ -275,10 +323,11 @@ class LogSource:
     def _why_empty(self) -> RecordingError | CalibrationError:
         fates, path, topics = self._ledger.as_dict(), self._log.path, self.setup.topics
         if fates.get("no_pose"):
-            images = _span_text(self._stamps(topics.color))
+            images, source = _span_text(self._stamps(topics.color)), self.setup.plan.source
             return RecordingError(
-                f"{path}: no image has a pose: images from {images}, poses of {self.setup.plan.source} "
+                f"{path}: no image has a pose: images from {images}, poses of {source} "
                 f"from {_span_text(self.setup.pose_span_ns or (0, 0))}; name another with --pose-topic"
+                f"{'. ' * bool(lag := self._lag_text())}{lag}"
             )
         if fates.get("frame_of_other_size"):
             lenses = (self.setup.color_lens.camera, self.setup.depth_lens.camera)
@@ -292,6 +341,18 @@ class LogSource:
             f"{path}: no colour image has a depth image within {tolerance}: {topics.color.name} "
             f"from {_span_text(self._stamps(topics.color))}, {topics.depth.name} from "
             f"{_span_text(self._stamps(topics.depth))}; found {fates}; widen it with --sync-tolerance"
+        )
+
+    def _lag_text(self) -> str:
+        name = next(iter(self.setup.plan.keys), ("",))[0]
+        lags_ns = self._clock.lag_ns(self.setup.topics.color.name), self._clock.lag_ns(name)
+        if lags_ns[0] is None or lags_ns[1] is None or not _LAG_NS < abs(lags_ns[1] - lags_ns[0]) < _OTHER_CLOCK_NS:
+            return ""
+        late_s = (lags_ns[1] - lags_ns[0]) / 1e9
+        way = "behind" if late_s > 0 else "ahead of"
+        return (
+            f"{name}: by log time its stamps are {abs(late_s):.1f} s {way} the images': its clock is wrong "
+            "(--clock log plays by log time), or its poses take that long to compute"
         )
 
     def _stamps(self, topic: Topic) -> tuple[int, int]:

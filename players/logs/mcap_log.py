@@ -60,6 +60,7 @@ class McapLog:
         self.path = path
         self.files = (path,)
         self.flaws = Flaws(path.name)
+        self._survey = _Survey()
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             self._survey = _read_summary(data) or self._walk_whole(data)
             is_cut_off = data[-len(mcap.MAGIC) :] != mcap.MAGIC

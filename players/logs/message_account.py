@@ -85,6 +85,8 @@ class Account:
     flaws: tuple[str, ...] = ()
     explanation: str = ""
     unit: str = "messages"
+    #: Faults of transforms and clocks, one line each.
+    findings: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for `ledger.json`."""
@@ -102,6 +104,7 @@ class Account:
             "damaged_places": self.num_flaws,
             "damage": list(self.flaws),
             "explanation": self.explanation,
+            **({"findings": list(self.findings)} if self.findings else {}),
             "topics": {
                 entry.topic: {
                     **{name: getattr(entry, name) for name in ("declared", "used", "not_needed")},

@@ -289,7 +289,7 @@ class Ros1Log:
 
 
 def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
-    if chunk.compression == "none":
+    if chunk.compression in ("", "none"):
         return unpack("none", data[chunk.data_at : chunk.data_end], chunk.size)
     with memoryview(data) as view, view[chunk.data_at : chunk.data_end] as packed:
         return unpack(chunk.compression, packed, chunk.size)

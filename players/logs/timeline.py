@@ -45,13 +45,22 @@ class Timeline:
 
     def __init__(self) -> None:
         self.epoch = 0
+        self._clock = 0
         self._newest_ns: int | None = None
         self._recent: deque[int] = deque(maxlen=_REMEMBERED)
         self._seen: set[int] = set()
         self._odd: tuple[int, Any] | None = None
 
-    def add(self, stamp_ns: int, item: Any) -> list[Placed]:
-        """Return the items that can be classified now, in order; none while an odd one is held back."""
+    def add(self, stamp_ns: int, item: Any, clock: int = 0) -> list[Placed]:
+        """Return the items that can be classified now, in order; none while an odd one is held back.
+
+        `clock` is the number of steps of the clock before it; each begins another epoch.
+        """
+        if clock > self._clock:
+            placed = self.end()
+            self._begin(clock - self._clock)
+            self._clock = clock
+            return [*placed, self._take(stamp_ns, item, 0)]
         if self._newest_ns is None:
             return [self._take(stamp_ns, item, 0)]
         if self._is_near(stamp_ns):
@@ -66,11 +75,7 @@ class Timeline:
         if self._goes_on(odd_ns, stamp_ns):
             self._odd = None
             jump_ns = odd_ns - self._newest_ns
-            if jump_ns < 0:
-                self.epoch += 1
-            self._newest_ns = None
-            self._recent.clear()
-            self._seen.clear()
+            self._begin(int(jump_ns < 0))
             first = self._take(odd_ns, odd, jump_ns)
             return [first, *self.add(stamp_ns, item)]
         placed = self.end()
@@ -83,6 +88,12 @@ class Timeline:
             return []
         (stamp_ns, item), self._odd = self._odd, None
         return [Placed(item, stamp_ns, self.epoch, Order.OFF)]
+
+    def _begin(self, num_epochs: int) -> None:
+        self.epoch += num_epochs
+        self._newest_ns = None
+        self._recent.clear()
+        self._seen.clear()
 
     def _take(self, stamp_ns: int, item: Any, jump_ns: int) -> Placed:
         is_late = self._newest_ns is not None and stamp_ns < self._newest_ns

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from hickory_stream.errors import NoPosesError, RecordingError
 from players.logs.containers import Topic, topic_name
+from players.logs.robots import shared_parts
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF, VIDEOS
 from players.options import NO_TOPIC, SourceOptions
 
@@ -143,7 +144,7 @@ def _may_be(role: str, topic: Topic, other: Topic | None, contents: Mapping[str,
 
 def _rank(contents: Mapping[str, Content], pair: tuple[Topic, Topic]) -> tuple[bool | int | str, ...]:
     color, depth = pair
-    shared = _shared_parts(color.name, depth.name)
+    shared = shared_parts(color.name, depth.name)
     frames = {contents[topic.name].frame if topic.name in contents else "" for topic in (color, depth)}
     color_words, depth_words = _words(color), _words(depth)
     color_points = sum(_COLOR_POINTS.get(word, 0) - 4 * ("depth" in word) for word in color_words.elements())
@@ -158,11 +159,6 @@ def _rank(contents: Mapping[str, Content], pair: tuple[Topic, Topic]) -> tuple[b
         depth.num_messages or 0,
         _reversed(depth.name),
     )
-
-
-def _shared_parts(a: str, b: str) -> int:
-    parts = list(zip(a.strip("/").split("/")[:-1], b.strip("/").split("/")[:-1], strict=False))
-    return next((i for i, (x, y) in enumerate(parts) if x != y), len(parts))
 
 
 def _reversed(name: str) -> str:

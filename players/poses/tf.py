@@ -24,6 +24,8 @@ class Edge:
     parent_from_child: Link
     #: False for a transform of /tf that has not changed so far.
     is_published_static: bool = True
+    #: Its topic of transforms, without "_static".
+    scope: str = "/tf"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -51,7 +53,7 @@ class Chain:
 
 
 class FrameTree:
-    """Frames by name; of two parents of a frame, a static one is kept, else the one with more poses."""
+    """Frames by name; of two parents of a frame, the deeper namespace's, a static one, or the one with more poses."""
 
     def __init__(self, edges: Sequence[Edge]) -> None:
         #: By child.
@@ -76,8 +78,8 @@ class FrameTree:
         return Chain(frames=(*down, common, *reversed(up)), edges=tuple(edges))
 
 
-def _weight(edge: Edge) -> tuple[float, str]:
-    link = edge.parent_from_child
+def _weight(edge: Edge) -> tuple[int, float, str]:
+    link, depth = edge.parent_from_child, edge.scope.count("/")
     if isinstance(link, PoseTrack):
-        return float(len(link.stamps_ns)), edge.parent
-    return float(link.num_added) if isinstance(link, GrowingTrack) else float("inf"), edge.parent
+        return depth, float(len(link.stamps_ns)), edge.parent
+    return depth, float(link.num_added) if isinstance(link, GrowingTrack) else float("inf"), edge.parent

@@ -30,6 +30,11 @@ from players.poses.interpolation import HOLD_NS, pose_of_row
 STANDING_M, STANDING_RAD = 0.02, 0.02
 """Poses closer than this, at any interval, mean that the robot stood still, when visual odometry makes no keyframes."""
 
+ASIDE_M = 0.03
+"""Distance of a pose from the middle of its neighbours, beyond their own distance, that no motion of a robot makes."""
+
+_LEAST_ALIGNED = 5
+
 _MAX_STANDING_NS = 30_000_000_000
 
 SLOW_NS = 45_000_000
@@ -71,6 +76,10 @@ class GrowingTrack:
         self.num_added = 0
         self.num_teleports = 0
         self.num_duplicates = 0
+        self._aside: tuple[float, ...] | None = None
+        self._num_aligned = 0
+        #: Poses that lie aside of those before and after them, all in one direction: those of another publisher.
+        self.num_rivals = 0
         self.jumps: list[Jump] = []
         self.first_ns: int | None = None
 
@@ -92,16 +101,23 @@ class GrowingTrack:
         pose = tuple(row)
         if stamp_ns in self._rows:
             self.num_duplicates += 1
+            self.num_rivals += self._limits is not None and _distance(self._rows[stamp_ns], pose) > ASIDE_M
+            self.is_constant = self.is_constant and _is_equal(self._rows[stamp_ns], pose)
             return
         newest = self.newest_ns
         if self._limits is None or newest is None or stamp_ns < newest or self._continues(stamp_ns, pose):
             if self._odd is not None:
                 self.num_teleports += 1
+                if newest is not None and stamp_ns > newest:
+                    self._compare(self._rows[newest], self._odd[1], pose)
                 self._odd = None
+            elif self._limits is not None and newest is not None and stamp_ns > newest:
+                self._compare_newest(pose)
             self._keep(stamp_ns, pose)
         elif self._odd is not None and self._is_reachable(self._odd, (stamp_ns, pose)):
             odd_ns, odd = self._odd
             self._odd = None
+            self._compare_newest(odd)
             predicted = self._predicted(odd_ns)
             self.jumps.append(Jump(stamp_ns=odd_ns, after_from_before=compose(_pose(odd), invert(predicted))))
             self._keep(odd_ns, odd)
@@ -171,8 +187,7 @@ class GrowingTrack:
 
     def _keep(self, stamp_ns: int, row: tuple[float, ...]) -> None:
         if self._stamps_ns and self.is_constant:
-            last = self._rows[self._stamps_ns[-1]]
-            self.is_constant = max(abs(a - b) for a, b in zip(last, row, strict=True)) < 1e-9
+            self.is_constant = _is_equal(self._rows[self._stamps_ns[-1]], row)
         if self.first_ns is None or stamp_ns < self.first_ns:
             self.first_ns = stamp_ns
         if not self._stamps_ns or stamp_ns > self._stamps_ns[-1]:
@@ -181,6 +196,26 @@ class GrowingTrack:
             insort(self._stamps_ns, stamp_ns)
         self._rows[stamp_ns] = row
         self.num_added += 1
+
+    def _compare_newest(self, after: tuple[float, ...]) -> None:
+        if len(self._stamps_ns) > 1:
+            self._compare(self._rows[self._stamps_ns[-2]], self._rows[self._stamps_ns[-1]], after)
+
+    def _compare(self, before: tuple[float, ...], now: tuple[float, ...], after: tuple[float, ...]) -> None:
+        x, y, z = now[0] - before[0], now[1] - before[1], now[2] - before[2]
+        if 4.0 * (x * x + y * y + z * z) < ASIDE_M * ASIDE_M:
+            return
+        aside = tuple(b - 0.5 * (a + c) for a, b, c in zip(before[:3], now[:3], after[:3], strict=True))
+        length = math.hypot(*aside)
+        if length < max(ASIDE_M, _distance(before, after)):
+            return
+        if self._aside is not None:
+            along = abs(sum(a * b for a, b in zip(aside, self._aside, strict=True)))
+            # Noise has no direction.
+            is_aligned = along > 0.9 * length * math.hypot(*self._aside)
+            self._num_aligned = self._num_aligned + 1 if is_aligned else 0
+            self.num_rivals += self._num_aligned >= _LEAST_ALIGNED
+        self._aside = aside
 
     def _is_joined(self, start_ns: int, end_ns: int) -> bool:
         if any(start_ns < jump.stamp_ns <= end_ns for jump in self.jumps):
@@ -259,6 +294,10 @@ def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, 
 
 def _pose(row: Sequence[float]) -> NDArray[np.float64]:
     return pose_of_row(np.asarray(row, dtype=np.float64))
+
+
+def _is_equal(a: Sequence[float], b: Sequence[float]) -> bool:
+    return max(abs(x - y) for x, y in zip(a, b, strict=True)) < 1e-9
 
 
 def _distance(a: Sequence[float], b: Sequence[float]) -> float:

@@ -81,7 +81,7 @@ def test_a_killed_process_restarts_and_a_dying_one_is_a_row(planned, tmp_path):
     plan = planned("a", "kill", "crash")
     result = run_batch(plan)
     _check_table(result, tmp_path)
-    told = {row.outcome.name: row.outcome for row in result.rows}
+    told = {row.name: row for row in result.rows}
     assert (told["a"].state, told["kill"].state, told["crash"].state) == ("mapped", "mapped", "failed")
     assert told["kill"].resumed
     assert not told["a"].resumed
@@ -107,7 +107,7 @@ def test_mapped_logs_are_kept_and_new_ones_may_follow(planned):
     said: list[str] = []
     again = run_batch(planned("a", "b", "c"), said.append)
     assert [row.was_there for row in again.rows] == [True, True, False]
-    assert [row.outcome.digest for row in again.rows[:2]] == [row.outcome.digest for row in first.rows]
+    assert [row.digest for row in again.rows[:2]] == [row.digest for row in first.rows]
     assert made(planned("a", "b", "c")) == ["a", "b", "c"]
     assert said[0] == "2 of 3 logs were mapped before"
 
@@ -116,7 +116,7 @@ def test_the_same_command_goes_on_after_a_full_disk(planned):
     plan = planned("a", "full", "b", workers=1)
     result = run_batch(plan)
     assert result.stopped == "the disk is full: free space, then continue with the same command"
-    assert [row.outcome.state for row in result.rows] == ["mapped", "disk full", "failed"]
+    assert [row.state for row in result.rows] == ["mapped", "disk full", "failed"]
     assert not result.is_whole
     assert run_batch(plan).rows[0].was_there
 

@@ -111,7 +111,7 @@ def test_what_is_no_trajectory_is_refused_with_what_was_expected(content, tmp_pa
 
 
 def test_a_missing_file_and_the_truth_of_another_log_are_refused(tmp_path):
-    with pytest.raises(RecordingError, match="cannot read"):
+    with pytest.raises(RecordingError, match="cannot be read"):
         read_true_trajectory(tmp_path / "nothing.csv")
     other = TrueTrajectory(stamps_ns=np.arange(5), world_from_body=body_poses(5), is_camera=True)
     with pytest.raises(RecordingError, match="of the log that was played"):

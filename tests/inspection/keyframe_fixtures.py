@@ -22,8 +22,7 @@ def point_at(pixel: tuple[float, float], depth_m: float) -> np.ndarray:
     return rays_of(CAMERA, np.array([pixel]))[0] * depth_m
 
 
-def a_keyframe(*, has_coarse: bool = True, map_from_odometry: np.ndarray | None = None) -> RecordedKeyframe:
-    """The keyframe, as journals of today have it, or as older ones do, which kept no coarse depth."""
+def a_keyframe(*, map_from_odometry: np.ndarray | None = None) -> RecordedKeyframe:
     depth_m = np.full((48, 64), WALL_M, dtype=np.float32)
     depth_m[18:30, 26:38] = THING_M
     depth_m[:, :8] = np.nan
@@ -36,7 +35,7 @@ def a_keyframe(*, has_coarse: bool = True, map_from_odometry: np.ndarray | None 
     free = keys_of_points(np.linspace(0.1, 0.9, 200)[:, None] * point_at(ON_WALL, WALL_M), SPACE_M)
     observed = keyframe(7, [seen], seen=space(free=free, structure=structure))
     rejected = RejectedMask(box_px=(48, 38, 53, 43), reason="too few points", mask=np.ones((5, 5), dtype=bool))
-    coarse = coarse_frame(depth_m, depth_m == WALL_M, CAMERA) if has_coarse else None
+    coarse = coarse_frame(depth_m, depth_m == WALL_M, CAMERA)
     return RecordedKeyframe(
         number=2,
         camera=CAMERA,

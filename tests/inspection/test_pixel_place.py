@@ -1,8 +1,9 @@
-"""Where a pixel is: by a mask, by recorded depth or structure, by the log's depth."""
+"""Where a pixel is: by a mask, by recorded depth, by the log's depth."""
 
+from dataclasses import replace
 import numpy as np
 import pytest
-from hickory_stream.errors import InputError
+from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.inspection.keyframe_labels import NO_DEPTH, STRUCTURE
 from hickory_stream.inspection.pixel_history import check_pixel, place_by_depth, place_in_keyframe
 from tests.engine.snapshot_fixtures import placed
@@ -10,7 +11,6 @@ from tests.inspection.keyframe_fixtures import (
     CAMERA,
     ON_THING,
     ON_WALL,
-    SPACE_M,
     THING_M,
     WALL_M,
     WITHOUT_DEPTH,
@@ -20,23 +20,23 @@ from tests.inspection.keyframe_fixtures import (
 
 
 def test_a_mask_pixel_is_at_the_nearest_point_of_the_mask():
-    place = place_in_keyframe(a_keyframe(), ON_THING, 1, SPACE_M)
+    place = place_in_keyframe(a_keyframe(), ON_THING, 1)
     assert place == pytest.approx(point_at(ON_THING, THING_M), abs=1e-6)
 
 
 def test_a_structure_pixel_is_at_its_depth_in_the_placed_submap():
-    place = place_in_keyframe(a_keyframe(map_from_odometry=placed(5, 0, 0)), ON_WALL, STRUCTURE, SPACE_M)
+    place = place_in_keyframe(a_keyframe(map_from_odometry=placed(5, 0, 0)), ON_WALL, STRUCTURE)
     assert place == pytest.approx(point_at(ON_WALL, WALL_M) + np.float64([5, 0, 0]))
 
 
-def test_without_depth_a_pixel_is_where_its_ray_meets_structure():
-    place = place_in_keyframe(a_keyframe(has_coarse=False), ON_WALL, 0, SPACE_M)
-    assert place[2] == pytest.approx(WALL_M, abs=SPACE_M)
+def test_a_pixel_without_depth_has_no_place():
+    assert place_in_keyframe(a_keyframe(), WITHOUT_DEPTH, NO_DEPTH) is None
 
 
-@pytest.mark.parametrize("has_coarse", [True, False])
-def test_a_pixel_without_depth_has_no_place(has_coarse):
-    assert place_in_keyframe(a_keyframe(has_coarse=has_coarse), WITHOUT_DEPTH, NO_DEPTH, SPACE_M) is None
+def test_a_journal_without_depth_is_refused():
+    keyframe = a_keyframe()
+    with pytest.raises(MapFolderError, match="no depth of frame 7: play the log again"):
+        place_in_keyframe(replace(keyframe, observed=replace(keyframe.observed, coarse=None)), ON_WALL, STRUCTURE)
 
 
 @pytest.mark.parametrize("nothing", [np.nan, 0.0, np.inf])

@@ -20,16 +20,12 @@ from tests.inspection.keyframe_fixtures import (
 
 
 def seen(
-    pixel: tuple[float, float],
-    depth_m: float,
-    *,
-    has_coarse: bool = True,
-    shift_m: tuple[float, float, float] = (0, 0, 0),
+    pixel: tuple[float, float], depth_m: float, *, shift_m: tuple[float, float, float] = (0, 0, 0)
 ) -> PlaceSighting | None:
     """What the keyframe took the place for that is so far along a pixel's ray; its mask went to #5."""
     book = TrackHistories()
     book.add(7, [Decision(kind="create", object_id=5, text="", observation_index=0)])
-    keyframe = a_keyframe(has_coarse=has_coarse, map_from_odometry=placed(*shift_m))
+    keyframe = a_keyframe(map_from_odometry=placed(*shift_m))
     return sighting_of(keyframe, point_at(pixel, depth_m) + shift_m, MapperConfig(), book)
 
 
@@ -52,22 +48,6 @@ def test_a_place_is_what_depth_and_masks_say_of_it(pixel, depth_m, text):
     assert sighting.pixel == pixel
     assert sighting.distance_m == pytest.approx(np.linalg.norm(point_at(pixel, depth_m)))
     assert (sighting.track_id == 5) == (sighting.where == "mask")
-
-
-@pytest.mark.parametrize(
-    ("pixel", "depth_m", "text"),
-    [
-        (ON_THING, THING_M, "in a mask that went to #5"),
-        (ON_THING, 3.0, "hidden by, or at the edge of, #5"),
-        (ON_WALL, WALL_M, "taken for structure"),
-        (ON_WALL, 2.0, "looked through: what is seen there lies behind"),
-        (ON_WALL, 6.0, "in no mask, and neither structure nor free (the journal is too old to have depth)"),
-        (REJECTED, WALL_M, "its mask was rejected: too few points"),
-    ],
-)
-def test_without_depth_masks_and_space_decide_about_a_place(pixel, depth_m, text):
-    sighting = seen(pixel, depth_m, has_coarse=False)
-    assert sighting.text == text
 
 
 def test_a_place_outside_the_image_is_not_seen():

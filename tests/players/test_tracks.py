@@ -1,3 +1,4 @@
+from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import (
@@ -103,3 +104,23 @@ def test_what_was_forgotten_is_gone_and_the_rest_is_as_it_was():
     track.forget(40 * 10**9)
     np.testing.assert_array_equal(track.at(45 * 10**9), before)
     assert track.at(10**9) is None
+
+
+def _rivals(offset_of: Callable[[int], Sequence[float]]) -> float:
+    track = GrowingTrack(500 * MS, JumpLimits())
+    for i in range(300):
+        x, y, z = np.array([0.5 * 0.033 * i, 0.0, 0.0]) + offset_of(i)
+        track.add(33 * MS * i, [x, y, z, 0.0, 0.0, 0.0, 1.0])
+    return track.num_rivals / 300
+
+
+@pytest.mark.parametrize("every", [2, 4, 6])
+@pytest.mark.parametrize("apart_m", [0.08, 0.3, 5.0])
+def test_poses_of_another_publisher_go_back_and_forth(apart_m, every):
+    assert _rivals(lambda i: [0.0, apart_m * (i % every == 0), 0.0]) > 0.5 / every
+
+
+def test_noise_and_a_bobbing_gait_are_not_another_publisher():
+    rng = np.random.default_rng(3)
+    assert _rivals(lambda i: rng.normal(scale=0.02, size=3)) < 0.02
+    assert _rivals(lambda i: [0.0, 0.0, 0.02 * np.sin(i)]) == 0.0

@@ -2,7 +2,6 @@ import dataclasses
 import numpy as np
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, NUM_INPUTS, ZERO
-from tools.network_training.compare import Shown, scored
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, TrueFrame, frames_of_scene
 from tools.network_training.lessons import UNKNOWN, lesson_of
 
@@ -77,20 +76,3 @@ def test_frames_are_kept_as_they_were_rendered(tmp_path):
         assert np.nanmedian(np.abs(a.sensed_m - a.depth_m)) < 0.1
         assert a.instances.min() >= -1
     assert [path.name for path in tmp_path.iterdir()] == ["clutter-training-3-2.npy"]
-
-
-def test_masks_are_scored_against_what_pixels_show():
-    frame = true_frame()
-    shown = Shown(name="panel", frame=_as_seen(frame), prior=None, truth=frame.instances)
-    score = scored((frame.instances == 7).astype(np.int32), shown)
-    assert (score.num_things, score.num_right, score.num_masks) == (1, 1, 1)
-    assert scored(np.zeros_like(frame.instances), shown).num_right == 0
-
-
-def _as_seen(frame: TrueFrame):
-    from hickory_stream.records import Frame
-
-    return Frame(
-        index=0, stamp_ns=0, rgb=frame.rgb, depth_m=frame.depth_m, camera=frame.camera,
-        world_from_camera=frame.world_from_camera,
-    )  # fmt: skip

@@ -1,6 +1,7 @@
 """The paper's tables: the data sets' layouts are read as their documentation says, and tables say what was measured."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
@@ -8,11 +9,11 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.data_sets import open_truth
 from hickory_stream.evaluation.truth import load_truth, mesh_of
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.room import furnished_room
-from tools.paper_tables import hope
 from tools.paper_tables.counterparts import write_hope, write_replica_cad
 from tools.paper_tables.data_sets import DATA_SETS, HOPE, KIMERA_MULTI
 from tools.paper_tables.logs import kimera_pairs
@@ -34,9 +35,8 @@ def hope_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_a_scene_of_hope_has_the_true_objects(hope_root, tmp_path):
-    scene = hope.scene_folders(hope_root)[0]
-    found = hope.write_truth(scene, hope_root / "meshes" / "eval", tmp_path / "truth")
+def test_a_scene_of_hope_has_the_true_objects(hope_root):
+    found = open_truth(hope_root / "hope_video" / "scene_0000")
     expected = load_truth(hope_root.parent / "table.truth")
     assert len(found.objects) == len(expected.objects)
     by_name = {f"scene_0000_{item.id:02d}_{item.kind}": item for item in expected.objects}
@@ -56,8 +56,7 @@ def test_a_scene_of_hope_has_the_true_objects(hope_root, tmp_path):
 def test_other_units_are_refused(hope_root, tmp_path):
     scene = tmp_path / "scene_0000"
     scene.mkdir()
-    source = hope.scene_folders(hope_root)[0]
-    for file in source.iterdir():
+    for file in (hope_root / "hope_video" / "scene_0000").iterdir():
         if file.suffix != ".json":
             (scene / file.name).write_bytes(file.read_bytes())
             continue
@@ -66,12 +65,13 @@ def test_other_units_are_refused(hope_root, tmp_path):
             row[3] *= 100.0
         (scene / file.name).write_text(json.dumps(record))
     with pytest.raises(RecordingError, match=r"moves by .* m between frames; expected .* extrinsics in metres"):
-        hope.write_truth(scene, hope_root / "meshes" / "eval", tmp_path / "truth")
+        open_truth(scene)
 
 
 def test_a_missing_mesh_is_named(hope_root, tmp_path):
-    with pytest.raises(RecordingError, match=r"scene_0000_01_.*\.obj is missing: the mesh of"):
-        hope.write_truth(hope.scene_folders(hope_root)[0], tmp_path, tmp_path / "truth")
+    scene = Path(shutil.copytree(hope_root / "hope_video" / "scene_0000", tmp_path / "hope_video" / "scene_0000"))
+    with pytest.raises(RecordingError, match=r"scene_0000_01_.*\.obj cannot be read as a mesh"):
+        open_truth(scene)
 
 
 def test_an_apartment_that_was_written_is_read_as_it_was(tmp_path):

@@ -2,7 +2,6 @@
 # `world_from_map` and, for a body, `body_from_camera` follow from the poses of kept views and the truth at the same
 # stamps, by the closed form of Shah (2013) for body_i X = W camera_i.
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, is_rigid, rotation_from_quaternion
+from hickory_stream.geometry.rigid import from_rotation_translation, interpolate
 from hickory_stream.records import MapSnapshot
+from players.poses.interpolation import pose_of_row
+from players.poses.pose_file import read_pose_file
 
 _MAX_GAP_NS = 500_000_000
 _MIN_POSES = 3
@@ -40,27 +41,11 @@ def read_true_trajectory(path: Path) -> TrueTrajectory:
             world_from_body=np.array([frame.world_from_camera for frame in frames]).reshape(-1, 4, 4),
             is_camera=True,
         )
-    try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"cannot read the ground truth {path}: {error}") from error
-    rows = [line for line in lines if line and not line.startswith("#")]
-    is_csv = bool(rows) and "," in rows[0]
-    if is_csv and not rows[0].split(",")[0].lstrip("-").isdigit():
-        rows = rows[1:]
-    try:
-        poses = [_csv_row(row) if is_csv else _tum_row(row) for row in rows]
-    except ValueError as error:
-        raise RecordingError(
-            f"{path} is no trajectory ({error}); expected a truth folder, CSV rows `timestamp_ns,x,y,z,qw,qx,qy,qz`, "
-            "or TUM rows `timestamp tx ty tz qx qy qz qw`"
-        ) from error
-    if not poses:
-        raise RecordingError(f"{path} holds no pose")
-    poses.sort(key=lambda pose: pose[0])
+    stamps_ns, rows = read_pose_file(path, None)
+    order = np.argsort(stamps_ns, kind="stable")
     return TrueTrajectory(
-        stamps_ns=np.array([stamp for stamp, _ in poses], dtype=np.int64),
-        world_from_body=np.array([pose for _, pose in poses]),
+        stamps_ns=np.array(stamps_ns, dtype=np.int64)[order],
+        world_from_body=np.array([pose_of_row(np.array(rows[i])) for i in order]),
         is_camera=False,
     )
 
@@ -129,28 +114,3 @@ def _nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     matrix = matrix * np.sign(np.linalg.det(matrix))
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right)
-
-
-def _csv_row(row: str) -> tuple[int, NDArray[np.float64]]:
-    values = next(csv.reader([row]))
-    if len(values) < 8:
-        raise ValueError(f"a row has {len(values)} columns, 8 are needed")
-    x, y, z, qw, qx, qy, qz = (float(value) for value in values[1:8])
-    return int(values[0]), _pose(x, y, z, qx, qy, qz, qw)
-
-
-def _tum_row(row: str) -> tuple[int, NDArray[np.float64]]:
-    values = row.split()
-    if len(values) != 8:
-        raise ValueError(f"a row has {len(values)} columns, 8 are needed")
-    seconds, _, fraction = values[0].partition(".")
-    stamp_ns = int(seconds) * 1_000_000_000 + int((fraction + "0" * 9)[:9])
-    x, y, z, qx, qy, qz, qw = (float(value) for value in values[1:])
-    return stamp_ns, _pose(x, y, z, qx, qy, qz, qw)
-
-
-def _pose(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> NDArray[np.float64]:
-    pose = from_rotation_translation(rotation_from_quaternion(qx, qy, qz, qw), np.array([x, y, z]))
-    if not is_rigid(pose):
-        raise ValueError(f"({x}, {y}, {z}) is no place")
-    return pose

@@ -18,15 +18,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.base.json_text import dumps
+from hickory_stream.cli.logs.odometry import tum_text
+from hickory_stream.evaluation.data_sets import CM_PER_M
 from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh
 from hickory_stream.geometry.mesh import Mesh, write_glb
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import invert, quaternion_from_rotation
 from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.scene import World
 from players import open_source
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.hope import CM_PER_M
 from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP
 from tools.paper_tables.workshop import Plan
 from tools.worlds.layouts import KimeraMultiLog
@@ -178,7 +179,10 @@ def _robot(base: RecordingConfig, target: Path, walk: int) -> None:
     truth = make_recording(config, target, name)
     body_from_camera = KimeraMultiLog.body_from_infra1 @ KimeraMultiLog.infra1_from_color
     lines = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
-    lines += _csv_rows(truth, config, invert(body_from_camera))
+    for stamp_ns, pose in _common(truth, config).items():
+        world_from_body = pose @ invert(body_from_camera)
+        x, y, z, w = quaternion_from_rotation(world_from_body[:3, :3]).tolist()
+        lines.append(",".join([str(stamp_ns), *(f"{n:.9f}" for n in (*world_from_body[:3, 3], w, x, y, z))]))
     (target / f"{name}_gt_odom.csv").write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
@@ -194,8 +198,8 @@ def _quadruped(plan: Plan, i: int, target: Path) -> None:
 def _run(base: RecordingConfig, target: Path, walk: int) -> None:
     config = replace(base, walk_index=walk)
     truth = make_recording(config, target, f"run{walk + 1}")
-    rows = _tum_rows(truth, config)
-    (target / f"run{walk + 1}.tum").write_text("\n".join(rows) + "\n", encoding="ascii")
+    poses = _common(truth, config)
+    (target / f"run{walk + 1}.tum").write_text(tum_text(list(poses), list(poses.values())), encoding="ascii")
 
 
 def _side_by_side(record: Callable[[int], None], walks: tuple[int, ...]) -> None:
@@ -203,30 +207,7 @@ def _side_by_side(record: Callable[[int], None], walks: tuple[int, ...]) -> None
         list(pool.map(record, walks))
 
 
-def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[np.float64]) -> list[str]:
-    rows = []
-    for stamp_ns, pose in _common(truth, config):
-        x, y, z, (qx, qy, qz, qw) = _numbers(pose @ camera_from_body)
-        rows.append(f"{stamp_ns},{x:.6f},{y:.6f},{z:.6f},{qw:.9f},{qx:.9f},{qy:.9f},{qz:.9f}")
-    return rows
-
-
-def _tum_rows(truth: Truth, config: RecordingConfig) -> list[str]:
-    rows = []
-    for stamp_ns, pose in _common(truth, config):
-        x, y, z, (qx, qy, qz, qw) = _numbers(pose)
-        seconds = f"{stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d}"
-        rows.append(f"{seconds} {x:.6f} {y:.6f} {z:.6f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}")
-    return rows
-
-
-def _common(truth: Truth, config: RecordingConfig) -> list[tuple[int, NDArray[np.float64]]]:
+def _common(truth: Truth, config: RecordingConfig) -> dict[int, NDArray[np.float64]]:
     robot_from_common = drawn_frame(config)
     common_from_robot = np.eye(4) if robot_from_common is None else invert(robot_from_common)
-    return [(frame.stamp_ns, common_from_robot @ frame.world_from_camera) for frame in truth.frames]
-
-
-def _numbers(pose: NDArray[np.float64]) -> tuple[float, float, float, tuple[float, float, float, float]]:
-    x, y, z = pose[:3, 3].tolist()
-    qx, qy, qz, qw = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-    return x, y, z, (qx, qy, qz, qw)
+    return {frame.stamp_ns: common_from_robot @ frame.world_from_camera for frame in truth.frames}

@@ -16,7 +16,6 @@ class DataSet:
     where: str
     size: str
     licence: str
-    counterpart: str
 
     def folder(self, data: Path) -> Path | None:
         return next((data / name for name in self.folders if (data / name).is_dir()), None)
@@ -46,7 +45,7 @@ HOPE = DataSet(
         ("meshes/eval/*.obj", "the meshes of its objects"),
     ),
     where="github.com/swtyree/hope-dataset, by its setup.py (hope_video and meshes_eval)", size="2.9 GB and 33 MB",
-    licence="CC BY-NC-SA 4.0", counterpart="table-tops of our own generator",
+    licence="CC BY-NC-SA 4.0",
 )  # fmt: skip
 REPLICA_CAD = DataSet(
     name="replica_cad", title="ReplicaCAD", folders=("ReplicaCAD_dataset", "replica_cad_dataset", "replica_cad"),
@@ -57,7 +56,7 @@ REPLICA_CAD = DataSet(
         ("stages/*.glb", "walls and floors"),
     ),
     where="huggingface.co/datasets/ai-habitat/ReplicaCAD_dataset (ReplicaCAD Interactive)", size="132 MB",
-    licence="CC BY 4.0", counterpart="apartments of our own generator",
+    licence="CC BY 4.0",
 )  # fmt: skip
 KIMERA_MULTI = DataSet(
     name="kimera_multi", title="Kimera-Multi", folders=("kimera_multi", "Kimera-Multi-Data"),
@@ -67,7 +66,7 @@ KIMERA_MULTI = DataSet(
         ("**/*[!o].bag", "the bag of each robot, 10_14_<robot>.bag"),
     ),
     where="github.com/MIT-SPARK/Kimera-Multi-Data, on request", size="its size is not published",
-    licence="no licence is stated", counterpart="streets of our own generator",
+    licence="no licence is stated",
 )  # fmt: skip
 NUS_CLB = DataSet(
     name="nus_clb", title="NUS-CLB", folders=("nus_clb", "NUS-CLB"),
@@ -76,6 +75,5 @@ NUS_CLB = DataSet(
         ("*.tum", "the true poses of each run, RUN.tum beside RUN/"),
     ),
     where="the paper's authors", size="not published", licence="not published",
-    counterpart="apartments of our own generator, seen from a quadruped",
 )  # fmt: skip
 DATA_SETS = (HOPE, REPLICA_CAD, KIMERA_MULTI, NUS_CLB)

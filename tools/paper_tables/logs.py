@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.worlds.recording import film
 from hickory_stream.worlds.shots import Stage
 from hickory_stream.worlds.trajectory import NoWalk
-from tools.paper_tables import hope, replica_cad
+from tools.paper_tables import replica_cad
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
 from tools.paper_tables.workshop import Log, Plan, Workshop
 from tools.worlds.clutter.walk import wander_through
@@ -34,19 +33,11 @@ class Pair:
 
 def hope_logs(data: Path, plan: Plan) -> list[Log]:
     root = HOPE.folder(data)
-    folders = [] if root is None else hope.scene_folders(root)[: plan.hope_scenes]
-    return [Log(data_set=HOPE.name, scene=folder.name, name="all", files=(folder,)) for folder in folders]
-
-
-def hope_truth(data: Path, log: Log, shop: Workshop) -> Truth:
-    """Return the truth of a scene of HOPE-Video, made once."""
-    # Raises RecordingError: a json or a mesh is missing or damaged.
-    root, target = HOPE.folder(data), shop.folder / "truth" / log.label
-    assert root is not None
-    if not (target / TRUTH_FILE).is_file():
-        shop.told(f"truth of {log.label}")
-        hope.write_truth(log.files[0], root / "meshes" / "eval", target)
-    return load_truth(target)
+    folders = [] if root is None else sorted(folder for folder in root.glob("hope_video/scene_*") if folder.is_dir())
+    return [
+        Log(data_set=HOPE.name, scene=folder.name, name="all", files=(folder,))
+        for folder in folders[: plan.hope_scenes]
+    ]
 
 
 def apartment_pairs(data: Path, plan: Plan, shop: Workshop) -> list[Pair]:

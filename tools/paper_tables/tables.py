@@ -4,7 +4,7 @@
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
@@ -93,7 +93,7 @@ def as_json(table: Table) -> dict[str, Any]:
         "caption": table.caption,
         "notes": list(table.notes),
         "rows": [
-            {"row": title, "column": column.name, "unit": column.unit, **_record(cell)}
+            {"row": title, "column": column.name, "unit": column.unit, **asdict(cell)}
             for title, cells in table.rows
             for cell, column in zip(cells, table.columns, strict=True)
         ],
@@ -101,12 +101,6 @@ def as_json(table: Table) -> dict[str, Any]:
 
 
 _ARROWS = {1: " ↑", 0: "", -1: " ↓"}
-
-
-def _record(cell: Cell) -> dict[str, Any]:
-    return {
-        "value": cell.value, "low": cell.low, "high": cell.high, "num": cell.num, "paper": cell.paper, "why": cell.why,
-    }  # fmt: skip
 
 
 def _best(column: Column, values: Sequence[float | None]) -> float | None:

@@ -8,14 +8,14 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import HickoryError
-from hickory_stream.evaluation.truth import Truth, load_truth
+from hickory_stream.evaluation.data_sets import open_truth
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import open_source
 from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.evaluation.views.trials import STRATEGIES, try_views
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
-from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth
+from tools.paper_tables.logs import apartment_pairs, hope_logs
 from tools.paper_tables.published import VIEWS
 from tools.paper_tables.tables import Cell, Column, Table
 from tools.paper_tables.workshop import Log, Plan, Workshop, identity_of, refusal
@@ -71,15 +71,16 @@ def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[
     return {strategy: [row[strategy] for row in rows] for strategy in STRATEGIES} if logs else "no logs"
 
 
-def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, Truth]]:
+def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, Path]]:
     if name == HOPE.name:
-        return [(log, hope_truth(data, log, shop)) for log in hope_logs(data, plan)]
+        return [(log, log.files[0]) for log in hope_logs(data, plan)]
     pairs = apartment_pairs(data, plan, shop)
-    return [(log, load_truth(truth)) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
+    return [(log, truth) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
 
 
-def _objects(log: Log, truth: Truth, shop: Workshop) -> list[Any]:
+def _objects(log: Log, folder: Path, shop: Workshop) -> list[Any]:
     def measure() -> list[Any]:
+        truth = open_truth(folder)
         config = MapperConfig()
         single = {"single_view": make_reconstructor("single_view", config.shapes)}
         (file,) = log.files  # a folder of HOPE-Video, or a log of our renderer

@@ -44,7 +44,7 @@ class Workshop:
         self.told = told
         self._workers = workers
         self._code = code_hash(*_CODE)[:16]
-        for part in ("results", "maps", "data", "truth"):
+        for part in ("results", "maps", "data"):
             (folder / part).mkdir(parents=True, exist_ok=True)
 
     def once(self, name: str, made_from: dict[str, Any], measure: Callable[[], Any]) -> Any:

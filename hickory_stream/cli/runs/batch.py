@@ -77,10 +77,7 @@ def result_json(result: BatchResult) -> dict[str, Any]:
         "finished": result.is_whole,
         "stopped": result.stopped,
         "wall_s": result.wall_s,
-        "logs": [
-            {"log": row.uri, "map": str(row.map), "was_there": row.was_there, **asdict(row.outcome)}
-            for row in result.rows
-        ],
+        "logs": [asdict(row) for row in result.rows],
         "joined": None
         if joined is None
         else {

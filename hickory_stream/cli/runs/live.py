@@ -232,7 +232,7 @@ class _StatusPrinter:
         from players.live.status import status_table
 
         if self._as_json:
-            sys.stderr.write(f"{output('live-status', {'event': 'status', **status.as_dict()})}\n")
+            sys.stderr.write(f"{output('live-status', status.as_dict())}\n")
             return
         if sys.stderr.isatty():
             clear_line()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.errors import MapFolderError
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.camera import Camera
@@ -16,7 +17,7 @@ from hickory_stream.journal.step import FramePose, Step, StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import Decision, MapSnapshot
+from hickory_stream.records import CoarseFrame, Decision, MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -36,6 +37,13 @@ class RecordedKeyframe:
     def odometry_from_map(self) -> NDArray[np.float64]:
         """The inverse (4, 4)."""
         return invert(self.map_from_odometry)
+
+    @property
+    def coarse(self) -> CoarseFrame:
+        """Its reduced depth and structure; raises `MapFolderError` if the journal has none."""
+        if self.observed.coarse is None:
+            raise MapFolderError(f"the journal has no depth of frame {self.observed.frame_index}: play the log again")
+        return self.observed.coarse
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -59,11 +59,9 @@ def open_bop(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="BOP scene",
         depth_intrinsics=None,
-        streams={
-            "color": "rgb/*", "depth": "depth/*.png", "camera_info": CAMERAS, "pose": origin, "stamps": found.clock,
-        },
+        streams=("rgb/*", "depth/*.png", CAMERAS, origin, found.clock),
         text_files=[file for name in (CAMERAS, OBJECTS) if (file := folder / name).is_file()],
-    )  # fmt: skip
+    )
 
 
 def open_bop_data_set(folder: Path, options: SourceOptions) -> FolderSource:

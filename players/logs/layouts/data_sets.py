@@ -28,6 +28,7 @@ from players.logs.layouts.folder_text import (
     read_pose_file,
     read_stamped_rows,
     read_text,
+    resized,
     rigid_of,
 )
 from players.logs.layouts.frame_collector import FrameCollector, Pose, Sizes, by_number, color_files, is_there, sizes_of
@@ -85,7 +86,7 @@ def open_icl_nuim(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="ICL-NUIM folder",
         depth_intrinsics=profile.color,
-        streams=_streams("rgb/*", "depth/*.png", f"profile {profile.name}", f"{file.name}, mirrored", found.clock),
+        streams=("rgb/*", "depth/*.png", f"profile {profile.name}", f"{file.name}, mirrored", found.clock),
         text_files=[file],
     )
 
@@ -127,7 +128,7 @@ def open_arkit_scenes(folder: Path, options: SourceOptions) -> FolderSource:
             width, height, fx, fy, cx, cy = read_numbers(file).tolist()
             of_file = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy), (int(width), int(height))
             return found.view(
-                sizes, profile.depth_units_per_m, _resized(*of_file, sizes[1]), _resized(*of_file, sizes[0])
+                sizes, profile.depth_units_per_m, resized(*of_file, sizes[1]), resized(*of_file, sizes[0])
             )
 
     tolerance_ns = _ARKIT_TOLERANCE_NS if options.sync_tolerance_ns is None else options.sync_tolerance_ns
@@ -135,7 +136,7 @@ def open_arkit_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="ARKitScenes folder",
         depth_intrinsics=None,
-        streams=_streams("lowres_wide/*", "lowres_depth/*", "*.pincam", trajectory.name, "names of files"),
+        streams=("lowres_wide/*", "lowres_depth/*", "*.pincam", trajectory.name, "names of files"),
         text_files=[file for file in (trajectory, *(file for _, file in pincams)) if file.is_file()],
         pose_span_ns=None if track is None else track.span_ns,
     )
@@ -170,7 +171,7 @@ def open_open3d(folder: Path, options: SourceOptions) -> FolderSource:
         raise CalibrationError(f"{folder} has no *intrinsic*.json, and the profile {profile.name} has no intrinsics")
     found = FrameCollector(folder, profile, options, rough_up=(0.0, -1.0, 0.0))
     found.add_numbered(colors, depths, poses)
-    streams = _streams(
+    streams = (
         f"{color}/*", "depth/*.png", file.name if file else f"profile {profile.name}", log.name if log else "none",
         found.clock,
     )  # fmt: skip
@@ -223,7 +224,7 @@ def open_nerfstudio(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="nerfstudio folder",
         depth_intrinsics=None,
-        streams=_streams("file_path", "depth_file_path", file.name, file.name, found.clock),
+        streams=("file_path", "depth_file_path", file.name, file.name, found.clock),
         text_files=[file],
     )
 
@@ -250,13 +251,9 @@ def open_scannet(folder: Path, options: SourceOptions) -> FolderSource:
         kind="ScanNet folder",
         depth_intrinsics=read_intrinsics(parts["intrinsic_depth"]),
         color_intrinsics=read_intrinsics(parts["intrinsic_color"]),
-        streams=_streams("color/*", "depth/*.png", "intrinsic/*.txt", "pose/*.txt", found.clock),
+        streams=("color/*", "depth/*.png", "intrinsic/*.txt", "pose/*.txt", found.clock),
         text_files=[*parts.values(), *(poses[number] for number in sorted(poses))],
     )
-
-
-def _streams(color: str, depth: str, camera_info: str, pose: str, stamps: str) -> dict[str, str]:
-    return {"color": color, "depth": depth, "camera_info": camera_info, "pose": pose, "stamps": stamps}
 
 
 def _by_stamp(folder: Path, ending: str) -> list[tuple[int, Path]]:
@@ -268,12 +265,6 @@ def _by_stamp(folder: Path, ending: str) -> list[tuple[int, Path]]:
         except (InvalidOperation, ValueError, OverflowError):
             continue
     return sorted(stamped)
-
-
-def _resized(of: Intrinsics, size: tuple[int, int], new: tuple[int, int]) -> Intrinsics:
-    # Pixel centres are at integer coordinates.
-    x, y = new[0] / size[0], new[1] / size[1]
-    return Intrinsics(fx=of.fx * x, fy=of.fy * y, cx=(of.cx + 0.5) * x - 0.5, cy=(of.cy + 0.5) * y - 0.5)
 
 
 def _nerfstudio_view(found: FrameCollector, table: Mapping[str, Any], sizes: Sizes, units_per_m: float) -> FolderView:
@@ -289,7 +280,7 @@ def _nerfstudio_view(found: FrameCollector, table: Mapping[str, Any], sizes: Siz
     # There, the middle of the first pixel is at 0.5.
     cx, cy = (float(table.get(name, side / 2)) - 0.5 for name, side in zip(("cx", "cy"), size, strict=True))
     of_file = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
-    view = found.view(sizes, units_per_m, _resized(of_file, size, sizes[1]), _resized(of_file, size, sizes[0]))
+    view = found.view(sizes, units_per_m, resized(of_file, size, sizes[1]), resized(of_file, size, sizes[0]))
     is_fisheye = model == "OPENCV_FISHEYE"
     distortion = tuple(float(table.get(name, 0.0)) for name in _DISTORTIONS[is_fisheye])
     if not np.isfinite(distortion).all():

@@ -70,6 +70,13 @@ def intrinsics_of(numbers: Any) -> Intrinsics:
     return Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
 
 
+def resized(of: Intrinsics, size: tuple[int, int], new: tuple[int, int]) -> Intrinsics:
+    """Return the intrinsics of images of `size` (width, height) for the same view in `new` pixels."""
+    # Pixel centres are at integer coordinates.
+    x, y = new[0] / size[0], new[1] / size[1]
+    return Intrinsics(fx=of.fx * x, fy=of.fy * y, cx=(of.cx + 0.5) * x - 0.5, cy=(of.cy + 0.5) * y - 0.5)
+
+
 def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
     """Return the intrinsics and the depth units per metre of a `cam_params.json`.
 

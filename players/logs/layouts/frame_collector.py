@@ -40,6 +40,7 @@ _LEVEL_IMAGES, _AXIS_COSINE = 5, 0.99756405
 FAR_M = 1e6
 """A pose that is so far away is damaged."""
 
+ROLES = ("color", "depth", "camera_info", "pose", "stamps")
 _UNITS = Range(low=1e-3, high=1e9, unit="units in a metre")
 
 Pose = NDArray[np.float64] | None
@@ -145,7 +146,7 @@ class FrameCollector:
         *,
         kind: str,
         depth_intrinsics: Intrinsics | None,
-        streams: dict[str, str],
+        streams: Mapping[str, str] | tuple[str, str, str, str, str],
         text_files: Sequence[Path],
         color_intrinsics: Intrinsics | None = None,
         depth_units_per_m: float | None = None,
@@ -154,12 +155,15 @@ class FrameCollector:
     ) -> FolderSource:
         """Return the source of all frames; without `depth_intrinsics` every frame has a view.
 
+        `streams` are the origins of the frames by role, a tuple those of `ROLES`.
+
         Raises `RecordingError`: there are no frames, or an image has no size.
         """
         if not self._found:
             error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
         usual = None
+        origins = dict(zip(ROLES, streams, strict=True) if isinstance(streams, tuple) else streams)
         if depth_intrinsics is not None:
             sizes = sizes_of(found[1:3] for found in self._found)
             usual = self.view(
@@ -167,7 +171,7 @@ class FrameCollector:
             )
             width, height = depth_intrinsics.width, depth_intrinsics.height
             if width is not None and (width, height) not in sizes:
-                streams = {**streams, "camera_info": f"{streams['camera_info']} (scaled from {width}x{height})"}
+                origins["camera_info"] += f" (scaled from {width}x{height})"
         frames = []
         for stamp_ns, color, depth, pose, own in self._found:
             view = own or usual
@@ -185,7 +189,7 @@ class FrameCollector:
             ),
             world_from_log=world_from_log,
             fates=dict(self._fates),
-            streams=(*streams.items(), ("up", up)),
+            streams=(*origins.items(), ("up", up)),
             text_files=tuple(text_files),
             flaws=tuple(flaws),
         )

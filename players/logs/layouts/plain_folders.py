@@ -36,13 +36,13 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
         kind="7-Scenes folder",
         depth_intrinsics=depth_intrinsics,
         color_intrinsics=profile.color,
-        streams={
-            "color": "frame-*.color.*",
-            "depth": "frame-*.depth.png",
-            "camera_info": f"{INTRINSICS}, profile {profile_name}",
-            "pose": "frame-*.pose.txt",
-            "stamps": found.clock,
-        },
+        streams=(
+            "frame-*.color.*",
+            "frame-*.depth.png",
+            f"{INTRINSICS}, profile {profile_name}",
+            "frame-*.pose.txt",
+            found.clock,
+        ),
         text_files=[folder / INTRINSICS, *(poses[number] for number in sorted(poses))],
     )
 
@@ -122,13 +122,7 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
         kind="posed folder",
         depth_intrinsics=intrinsics,
         depth_units_per_m=units_per_m,
-        streams={
-            "color": "rgb/*",
-            "depth": "depth/*.png",
-            "camera_info": CAM_PARAMS,
-            "pose": CAMERA_POSES,
-            "stamps": f"order / {profile.frame_rate_hz} Hz",
-        },
+        streams=("rgb/*", "depth/*.png", CAM_PARAMS, CAMERA_POSES, f"order / {profile.frame_rate_hz} Hz"),
         text_files=[folder / CAM_PARAMS, folder / CAMERA_POSES],
     )
 
@@ -154,13 +148,13 @@ def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
         kind="Replica folder",
         depth_intrinsics=intrinsics,
         depth_units_per_m=units_per_m,
-        streams={
-            "color": "results/frame*",
-            "depth": "results/depth*.png",
-            "camera_info": str(parameters or f"profile {profile.name}"),
-            "pose": TRAJECTORY,
-            "stamps": found.clock,
-        },
+        streams=(
+            "results/frame*",
+            "results/depth*.png",
+            str(parameters or f"profile {profile.name}"),
+            TRAJECTORY,
+            found.clock,
+        ),
         text_files=[folder / TRAJECTORY, *([parameters] if parameters is not None else [])],
     )
 
@@ -184,12 +178,6 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="HOPE folder",
         depth_intrinsics=cameras[numbers[0]][0],
-        streams={
-            "color": "*_rgb.*",
-            "depth": "*_depth.png",
-            "camera_info": "*.json",
-            "pose": "*.json",
-            "stamps": found.clock,
-        },
+        streams=("*_rgb.*", "*_depth.png", "*.json", "*.json", found.clock),
         text_files=[jsons[number] for number in sorted(jsons)],
     )

@@ -25,6 +25,7 @@ from hickory_stream.geometry.camera import MOST_SIDE_PX
 from hickory_stream.geometry.rigid import compose
 from players.logs.layouts.file_parts import FilePart, members_of, read_image_file
 from players.logs.layouts.folder import FolderView
+from players.logs.layouts.folder_text import resized
 from players.logs.layouts.frame_collector import FrameCollector, sizes_of
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import MAX_PIXELS, decode_depth_png
@@ -179,12 +180,9 @@ def _poses(rows: list[list[float] | None], first: Any) -> tuple[tuple[Pose, ...]
 
 def _view(info: _Metadata, i: int, color_size: tuple[int, int], depth_size: tuple[int, int]) -> FolderView:
     of = info.frame_intrinsics[i] if i < len(info.frame_intrinsics) else info.intrinsics
-    cameras = []
-    for size in (depth_size, color_size):
-        x, y = size[0] / info.size[0], size[1] / info.size[1]
-        cameras.append(_intrinsics(of.fx * x, of.fy * y, (of.cx + 0.5) * x - 0.5, (of.cy + 0.5) * y - 0.5).camera(size))
+    depth, color = (resized(of, info.size, size).camera(size) for size in (depth_size, color_size))
     return FolderView(
-        registration=Registration(depth_camera=cameras[0], color_camera=cameras[1], color_from_depth=np.eye(4)),
+        registration=Registration(depth_camera=depth, color_camera=color, color_from_depth=np.eye(4)),
         depth_units_per_m=1.0,
         decode_depth=partial(_metres, shape=(depth_size[1], depth_size[0])),
     )

@@ -19,11 +19,12 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from players.logs.layouts.file_parts import FilePart, span_of
 from players.logs.layouts.folder import FolderView
+from players.logs.layouts.folder_text import intrinsics_of
 from players.logs.layouts.frame_collector import FrameCollector
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import MAX_PIXELS, metres_of_u16
 from players.poses.interpolation import nearest_rigid
-from players.profile import Intrinsics, load_profile
+from players.profile import load_profile
 
 if TYPE_CHECKING:
     from typing import BinaryIO
@@ -76,18 +77,11 @@ def open_sens(file: Path, options: SourceOptions) -> FolderSource:
     for i, frame in enumerate(frames):
         stamp_ns = frame.stamp_us * 1000 if has_stamps else i * 1_000_000_000 // profile.frame_rate_hz
         found.add(stamp_ns, frame.color, frame.depth, frame.world_from_depth, view)
+    stamps = "of colour" if has_stamps else f"number of the frame / {profile.frame_rate_hz} Hz: no usable stamps"
     return found.source(
         kind="ScanNet .sens",
         depth_intrinsics=None,
-        streams={
-            "color": "colour of frames",
-            "depth": "depth of frames",
-            "camera_info": "header",
-            "pose": "pose of frames",
-            "stamps": "of colour"
-            if has_stamps
-            else f"number of the frame / {profile.frame_rate_hz} Hz: no usable stamps",
-        },
+        streams=("colour of frames", "depth of frames", "header", "pose of frames", stamps),
         text_files=[],
         flaws=flaws,
     )
@@ -119,18 +113,14 @@ def _read_head(stream: BinaryIO, file: Path) -> tuple[FolderView, int]:
         if base_from_color is None or base_from_depth is None:
             raise ValueError("its extrinsics are no rigid transforms")
         registration = Registration(
-            depth_camera=_intrinsics(depth_k).camera((depth_width, depth_height)),
-            color_camera=_intrinsics(color_k).camera((width, height)),
+            depth_camera=intrinsics_of(depth_k).camera((depth_width, depth_height)),
+            color_camera=intrinsics_of(color_k).camera((width, height)),
             color_from_depth=compose(invert(base_from_color), base_from_depth),
         )
     except ValueError as error:
         raise CalibrationError(f"{file}: the header of a ScanNet .sens is damaged: {error}") from error
     decode = partial(_metres, kind=depth_kind, shape=(depth_height, depth_width), units_per_m=units)
     return FolderView(registration=registration, depth_units_per_m=units, decode_depth=decode), count
-
-
-def _intrinsics(k: NDArray[np.float64]) -> Intrinsics:
-    return Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
 
 
 def _read_frames(stream: BinaryIO, file: Path, end: int, declared: int) -> list[_Frame]:

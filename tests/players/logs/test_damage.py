@@ -1,6 +1,8 @@
 """A seeded sample of damaged logs; `tools/bench damage` has the whole."""
 
 import pytest
+from players import open_source
+from tests import player_scenes as scenes
 from tools.benchmarks.logs.damaged_logs import Tally, run_cases
 
 pytestmark = pytest.mark.timeout(60)
@@ -23,3 +25,13 @@ def test_no_message_is_wrong_where_a_checksum_covers_it(tally):
 def test_nearly_every_message_outside_the_damage_is_read(tally):
     assert tally.expected > 10_000
     assert tally.recovered >= 0.99 * tally.expected
+
+
+def test_a_chunk_of_a_bag_without_a_compression_is_read(tmp_path):
+    m = scenes.Messages(ros=1)
+    log = scenes.write_ros1(tmp_path / "log.bag", m, scenes.scene_messages(m, scenes.make_scene(), scenes.png_images))
+    data = log.read_bytes()
+    named, unnamed = b"\x10\x00\x00\x00compression=none", b"\x10\x00\x00\x00comqression=none"
+    assert named in data
+    log.write_bytes(data.replace(named, unnamed))
+    assert list(open_source(log).frames()) != []

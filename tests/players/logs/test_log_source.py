@@ -105,7 +105,7 @@ def test_depth_without_a_link_to_colour_names_both_frames(tmp_path):
 def test_poses_that_never_overlap_are_refused_with_ranges(tmp_path):
     def later(message: scenes.Message) -> scenes.Message:
         stamp_ns = message.stamp_ns + 3_600_000 * MS
-        return replace(message, message=replace(message.message, header=M.header(stamp_ns, "odom")))
+        return replace(message, stamp_ns=stamp_ns, message=replace(message.message, header=M.header(stamp_ns, "odom")))
 
     with pytest.raises(RecordingError, match=r"images from 1700000000\.123 s.*poses of /odom from 1700003600\."):
         _open(tmp_path, _changed("/odom", later))

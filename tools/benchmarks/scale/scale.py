@@ -171,10 +171,10 @@ def _batch(folder: Path, num_logs: int) -> list[Figure]:
         finally:
             os.sched_setaffinity(0, cores)
         if not result.is_whole:
-            raise RuntimeError(f"batch: {[row.outcome.reason for row in result.rows if row.outcome.reason]}")
+            raise RuntimeError(f"batch: {[row.reason for row in result.rows if row.reason]}")
         walls.append(result.wall_s)
-        busiest.append(_makespan([row.outcome.cpu_s for row in result.rows], count))
-        digests.append([row.outcome.digest for row in result.rows])
+        busiest.append(_makespan([row.cpu_s for row in result.rows], count))
+        digests.append([row.digest for row in result.rows])
     single = [play(log, folder / "single", *overridden(*COARSE)).finished["digest"] for log in logs]
     of = f"{len(logs)} logs of {_BATCH_SECONDS:.0f} s, processor time; by the clock {walls[0] / walls[1]:.2f} x"
     of += f", load {os.getloadavg()[0]:.1f}"

@@ -1,0 +1,111 @@
+"""Steps of the clock: four topics of a robot, whose clock is set in the middle of four seconds."""
+
+import random
+from collections.abc import Callable
+import pytest
+from players.logs.clock_steps import ClockSteps, Timed
+
+MS, S = 1_000_000, 1_000_000_000
+TOPICS = {
+    "color": (100 * MS, 40 * MS),
+    "depth": (166 * MS, 55 * MS),
+    "odom": (20 * MS, 2 * MS),
+    "tf": (33 * MS, 4 * MS),
+}
+MIDDLE = 2 * S
+Change = Callable[[str, int, int], tuple[int, int]]
+
+
+def _stream(change: Change = lambda topic, stamp, log: (stamp, log)) -> list[Timed]:
+    """Return messages in the order of arrival, each with its true stamp; `change` sees stamps that begin with 0."""
+    rows = []
+    for topic, (period, delay) in TOPICS.items():
+        for true in range(0, 4 * S, period):
+            stamp, log = change(topic, true, true + delay)
+            rows.append(
+                (true + delay if log <= true + delay else log, Timed(topic, stamp + 100 * S, log + 100 * S, true))
+            )
+    return [timed for _, timed in sorted(rows, key=lambda row: row[0])]
+
+
+def _set(step: int, *topics: str, with_log: bool = False) -> Change:
+    def change(topic: str, stamp: int, log: int) -> tuple[int, int]:
+        is_set = stamp >= MIDDLE and topic in (topics or TOPICS)
+        return stamp + step * is_set, log + step * (is_set and with_log)
+
+    return change
+
+
+def _numbered(messages: list[Timed]) -> tuple[ClockSteps, dict[tuple[str, int], int]]:
+    clock = ClockSteps()
+    found = [((timed.topic, timed.message), number) for timed, number in clock.numbered(messages)]
+    assert [key for key, _ in found] == [(timed.topic, timed.message) for timed in messages]
+    return clock, dict(found)
+
+
+@pytest.mark.parametrize("with_log", [False, True])
+@pytest.mark.parametrize("back_s", [0.1, 0.3, 0.8, 3.0, 60.0])
+def test_a_step_back_divides_every_topic_where_it_happens(back_s, with_log):
+    clock, numbers = _numbered(_stream(_set(-round(back_s * S), with_log=with_log)))
+    wrong = {key for key, number in numbers.items() if number != (key[1] >= MIDDLE)}
+    assert len(wrong) <= (4 if with_log else 0)
+    assert list(clock.texts.values()) == [False]
+    assert f"clock was set back by {back_s:.2f} s" in next(iter(clock.texts))
+
+
+@pytest.mark.parametrize("ahead_s", [0.1, 0.8, 60.0])
+def test_a_step_ahead_is_reported_and_divides_nothing(ahead_s):
+    clock, numbers = _numbered(_stream(_set(round(ahead_s * S))))
+    assert set(numbers.values()) == {0}
+    assert f"clock was set ahead by {ahead_s:.2f} s" in next(iter(clock.texts))
+
+
+def test_two_steps_are_counted():
+    back = 400 * MS
+    _, numbers = _numbered(_stream(lambda topic, s, log: (s - back * (s >= S) - back * (s >= 3 * S), log)))
+    assert {key: (key[1] >= S) + (key[1] >= 3 * S) for key in numbers} == numbers
+
+
+def test_a_step_of_one_topic_harms_only_that_topic():
+    clock, numbers = _numbered(_stream(_set(-800 * MS, "odom")))
+    assert set(numbers.values()) == {0}
+    assert list(clock.texts.values()) == [True]
+    assert next(iter(clock.texts)).startswith("the clock of odom alone was set back by 0.80 s")
+
+
+def _stalled(topic: str, stamp: int, log: int) -> tuple[int, int]:
+    return stamp, max(log, 3 * S + (log - S) // 1000) if S < log < 3 * S else log
+
+
+def _jittered(spread: int) -> Change:
+    rng = random.Random(7)
+    return lambda topic, stamp, log: (stamp, log + rng.randrange(spread))
+
+
+@pytest.mark.parametrize(
+    "delay",
+    [
+        _stalled,
+        _jittered(30 * MS),
+        _jittered(200 * MS),
+        lambda topic, stamp, log: (stamp, log + 600 * MS * (stamp >= MIDDLE)),
+        lambda topic, stamp, log: (stamp, log + stamp // 20),
+        lambda topic, stamp, log: (stamp, log // 5),
+        lambda topic, stamp, log: (stamp, log // 5 + log * (stamp >= MIDDLE)),
+        lambda topic, stamp, log: (stamp, log + 150 * MS * (topic == "color" and stamp % S < 100 * MS)),
+        lambda topic, stamp, log: (stamp - 10 * S * (topic == "tf" and stamp % S < 33 * MS), log),
+    ],
+    ids="stall jitter much-jitter lasting-delay drift fast-replay slower-replay late-images wrong-stamp".split(),
+)
+def test_delays_and_single_stamps_are_no_steps(delay):
+    clock, numbers = _numbered(_stream(delay))
+    assert clock.texts == {}
+    assert set(numbers.values()) == {0}
+
+
+def test_a_file_in_no_order_of_time_has_no_steps():
+    messages = _stream()
+    chunks = [messages[i : i + 30] for i in range(0, len(messages), 30)]
+    by_topic = [timed for chunk in chunks for timed in sorted(chunk, key=lambda t: (t.topic, t.log_ns))]
+    clock, _ = _numbered(by_topic)
+    assert clock.texts == {}
