@@ -6,9 +6,9 @@ A profile names topics, links between body and camera, and tolerances. Topics id
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,16 +37,38 @@ OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Intrinsics(Ranged):
-    """Pinhole intrinsics in pixels, without the image size."""
+    """Pinhole intrinsics in pixels; `width` and `height` of their images may be unknown."""
 
     fx: float = required(1e-3, 1e6, "px")
     fy: float = required(1e-3, 1e6, "px")
     cx: float = required(-1e6, 1e6, "px")
     cy: float = required(-1e6, 1e6, "px")
+    width: int | None = number(None, 1, 65_535, "px")
+    height: int | None = number(None, 1, 65_535, "px")
 
-    def camera(self, size: tuple[int, int]) -> Camera:
-        """Return the camera of images of (width, height)."""
-        return Camera(width=size[0], height=size[1], fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
+    def camera(self, size: tuple[int, int], where: str = "intrinsics") -> Camera:
+        """Return the camera of images of (width, height), which may have been resized.
+
+        Raises `CalibrationError`: they cannot have been, or their middle is far from the principal point.
+        """
+        from players.messages.calibration import check_center, has_shape, scaled
+
+        width, height = self.width or size[0], self.height or size[1]
+        camera = Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
+        if not has_shape(camera, size):
+            raise CalibrationError(
+                f"{where}: the intrinsics are of images of {width}x{height} pixels, those of {size[0]}x{size[1]} have "
+                "another ratio of sides; add their own as camera-intrinsics.txt or cam_params.json"
+            )
+        check_center(camera, where)
+        return scaled(camera, size)
+
+    def of_nearest(self, sizes: Sequence[tuple[int, int]]) -> Self:
+        """Return them with a size: their own, or of several the one whose middle is nearest to the principal point."""
+        if self.width is not None:
+            return self
+        width, height = min(sizes, key=lambda s: abs((self.cx + 0.5) / s[0] - 0.5) + abs((self.cy + 0.5) / s[1] - 0.5))
+        return replace(self, width=width, height=height)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ One pass covers every message, for stamps and damage; another plays like `play` 
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -117,22 +117,26 @@ def examine_log(
     found.kind, found.checksum = log.kind, log.checksum
     found.num_bytes = sum(file.stat().st_size for file in log.files)
     found.problems += getattr(log, "unreadable", ())
+    found.notes += getattr(log, "notes", ())
     progress("reading every message")
     stats = {topic.name: StreamStats(topic) for topic in log.topics}
     for message in log.messages(list(stats)):
         stats[message.topic].add(message)
     found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
     _note_stamps(found, is_heard=is_heard)
+    flaws = log.flaws
     try:
         source = _as_play_opens(found, log, options, is_heard=is_heard)
         progress("reading as play does")
         examine_frames(found, source, stats)
+        played = source.played if isinstance(source, OdometrySource) else source
+        flaws = played.flaws if isinstance(played, LogSource) else flaws
         if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
             progress("looking where the camera sits")
             judge_extrinsics(found, source)
     except InputError as error:
         found.refusal = str(error)
-    _note_damage(found, log.flaws)
+    _note_damage(found, flaws)
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
     return found
@@ -242,8 +246,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         "read_s": round(time.perf_counter() - started_s, 2),
     }
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
+    _refuse_empty(found, num_torn, invalid)
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
-    _note_frames(found, ledger)
+    _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_color(found, agreement)
     judge_depth(found, noise, bias, sensor)
@@ -267,6 +272,13 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
             "p95_ms": round(float(np.percentile(np.abs(apart_ms), 95)), 3) if len(apart_ms) else None,
             "histogram": {"edges_ms": [round(float(edge), 3) for edge in edges], "counts": counts.tolist()},
         }
+
+
+def _refuse_empty(found: Diagnosis, num_torn: int, invalid: Sequence[float]) -> None:
+    if num_torn and not invalid:
+        found.refusal = f"none of {num_torn} sampled frames can be decoded: {found.notes[-1]}"
+    elif invalid and min(invalid) == 1.0:
+        found.refusal = f"none of {len(invalid)} sampled depth images has a return: all is NaN, 0, or out of range"
 
 
 def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:
@@ -385,7 +397,7 @@ def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
             found.notes.append(f"{name}: its type is not known; it is skipped")
 
 
-def _note_frames(found: Diagnosis, fates: dict[str, int]) -> None:
+def _note_frames(found: Diagnosis, fates: dict[str, int], reasons: Mapping[str, str]) -> None:
     total = found.frames["frames"] + sum(
         fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
     )
@@ -405,7 +417,8 @@ def _note_frames(found: Diagnosis, fates: dict[str, int]) -> None:
         elif name in ("depth_without_returns", "pose_jumps", "duplicate_pose"):
             found.notes.append(f"{number} {name.replace('_', ' ')}")
         else:
-            found.problems.append(f"{number} {name.replace('_', ' ')}")
+            reason = f": {reasons[name]}" if name in reasons else ""
+            found.problems.append(f"{number} {name.replace('_', ' ')}{reason}")
     if found.streams.get("stamps", "").startswith("log time:"):
         found.problems.append(found.streams["stamps"])
 

@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from players.live.dds_domain import dds_type
+from players.logs.containers import normalized_type
+
 Layout = Literal["bridge", "rmw"]
 
 TOKENS = ("@/*/@ros2_lv/**", "@ros2_lv/**")
@@ -56,7 +59,7 @@ def publication_of_token(token: str) -> Publication | None:
     name, type_name = parts[-4 if has_hash else -3], parts[-3 if has_hash else -2]
     return Publication(
         name=_absolute(name.replace("%", "/")),
-        type_name=_ros_type(type_name),
+        type_name=normalized_type(type_name),
         layout="rmw",
         is_latched=_field(parts[-1], 1) == _TRANSIENT_LOCAL,
         domain=parts[1],
@@ -72,7 +75,7 @@ def publication_of_key(key: str) -> Publication | None:
     name = _absolute("/".join(parts[1:-2]))
     return Publication(
         name=name,
-        type_name=_ros_type(parts[-2]),
+        type_name=normalized_type(parts[-2]),
         layout="rmw",
         is_latched=name.endswith("tf_static"),
         domain=parts[0],
@@ -88,7 +91,7 @@ def own_token(publication: Publication, zid: str, entity: int, kind: Literal["MS
     durability = _TRANSIENT_LOCAL if publication.is_latched else ""
     return (
         f"@ros2_lv/{publication.domain}/{zid}/0/{entity}/{kind}/%/%/hickory_stream/{topic}/"
-        f"{_dds_type(publication.type_name)}/{publication.hash}/:{durability}:,10:,:,:,,"
+        f"{dds_type(publication.type_name)}/{publication.hash}/:{durability}:,10:,:,:,,"
     )
 
 
@@ -111,7 +114,7 @@ def publishing_key(publication: Publication) -> str:
     """Return the key for publishing; rmw_zenoh's contains the type and its hash."""
     if publication.layout == "bridge":
         return publication.key
-    name, type_name = publication.name.lstrip("/"), _dds_type(publication.type_name)
+    name, type_name = publication.name.lstrip("/"), dds_type(publication.type_name)
     return f"{publication.domain}/{name}/{type_name}/{publication.hash}"
 
 
@@ -133,17 +136,6 @@ def _of_bridge(parts: list[str]) -> Publication | None:
         layout="bridge",
         is_latched=_field(qos, 2) == _TRANSIENT_LOCAL,
     )
-
-
-def _ros_type(name: str) -> str:
-    # DDS writes package::msg::dds_::Name_.
-    parts = [part for part in name.split("::") if part != "dds_"]
-    return "/".join([*parts[:-1], parts[-1].removesuffix("_")])
-
-
-def _dds_type(type_name: str) -> str:
-    package, _, name = type_name.partition("/msg/")
-    return f"{package}::msg::dds_::{name}_"
 
 
 def _is_hash(text: str) -> bool:

@@ -10,6 +10,7 @@ import hashlib
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 from players.logs.log_damage import Flaws
 
 DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
-_SAMPLE_BYTES = 1 << 20
+_SAMPLE_BYTES, _EARLY_MESSAGES = 1 << 20, 150
 Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
@@ -86,9 +87,17 @@ class Log(Protocol):
 
 
 def normalized_type(name: str) -> str:
-    """Return a message type as package/msg/Name; ROS 1 leaves out the middle."""
+    """Return a message type as package/msg/Name; ROS 1 leaves out the middle, DDS has package::msg::dds_::Name_."""
+    if "::" in name or "/dds_/" in name:
+        parts = [part for part in name.replace("::", "/").split("/") if part != "dds_"]
+        name = "/".join([*parts[:-1], parts[-1].removesuffix("_")])
     package, _, rest = name.partition("/")
     return f"{package}/msg/{rest}" if rest and "/" not in rest else name
+
+
+def topic_name(name: str) -> str:
+    """Return the name of a topic in ROS for one that was recorded from DDS, where it begins with rt/."""
+    return name[2:] if name.startswith("rt/") else name
 
 
 def merged_topics(topics: Iterable[Topic]) -> tuple[Topic, ...]:
@@ -113,6 +122,19 @@ def summed_by(name_of: Callable[[int], str], counts: Mapping[int, int] | None) -
     return dict(total)
 
 
+def first_messages(log: Log, type_names: Collection[str]) -> dict[str, Any]:
+    """Return the first message of each topic of some types, as far as it comes early and can be read."""
+    topics = {topic.name: topic for topic in log.topics if topic.type_name in type_names and topic.num_messages != 0}
+    found: dict[str, Any] = {}
+    for count, message in enumerate(log.messages(topics)):
+        if message.topic not in found:
+            with suppress(UnreadableMessageError):
+                found[message.topic] = deserialize(topics[message.topic], message.data)
+        if len(found) == len(topics) or count > _EARLY_MESSAGES:
+            break
+    return found
+
+
 def deserialize(topic: Topic, data: Any) -> Any:
     """Return the message of raw bytes; arrays in it are read-only views of them.
 
@@ -129,7 +151,7 @@ def deserialize(topic: Topic, data: Any) -> Any:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
     try:
-        store = _typestore(topic.type_name, topic.definition_format, topic.definition)
+        store = _typestore(topic.type_name, topic.definition_format, topic.definition, topic.wire)
         if topic.wire == "cdr":
             return store.deserialize_cdr(data, topic.type_name)
         if topic.wire == "ros1":
@@ -141,15 +163,46 @@ def deserialize(topic: Topic, data: Any) -> Any:
 
 
 @lru_cache(maxsize=64)
-def _typestore(type_name: str, definition_format: DefinitionFormat, definition: str) -> Any:
+def _typestore(type_name: str, definition_format: DefinitionFormat, definition: str, wire: Wire) -> Any:
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     if definition_format == "none" or not definition.strip():
-        return get_typestore(Stores.ROS2_HUMBLE)
-    store = get_typestore(Stores.EMPTY)
+        return own_types(wire)
     is_msg = definition_format == "msg"
-    store.register(get_types_from_msg(definition, type_name) if is_msg else get_types_from_idl(definition))
+    types = get_types_from_msg(definition, type_name) if is_msg else get_types_from_idl(definition)
+    # Some writers leave out the definitions of the types of fields.
+    needed = [name for _, fields in types.values() for name in _types_of(fields)]
+    while needed:
+        name = needed.pop()
+        if name not in types and name in own_types(wire).fielddefs:
+            types[name] = own_types(wire).fielddefs[name]
+            needed += _types_of(types[name][1])
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
     return store
+
+
+@lru_cache(maxsize=2)
+def own_types(wire: Wire) -> Any:
+    """Return the store of ROS 1's own types, or of ROS 2's."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
+    if wire == "ros1":
+        for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+    return store
+
+
+def _types_of(fields: Any) -> list[str]:
+    # The names of message types among the fields, also of those in arrays and sequences.
+    named = []
+    for _, (kind, detail) in fields:
+        while kind.name in ("ARRAY", "SEQUENCE"):
+            kind, detail = detail[0]
+        if kind.name == "NAME":
+            named.append(detail)
+    return named
 
 
 def files_identity(files: Sequence[Path], sampled: Sequence[Path] | None = None) -> str:

@@ -13,6 +13,9 @@ MAX_UNPACKED_BYTES = 1 << 30
 malicious."""
 
 
+_MAGICS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
+
+
 class UnpackError(Exception):
     """Compressed bytes that are damaged, or that declare too large a size; the message says which."""
 
@@ -35,6 +38,15 @@ def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UN
     if size is not None and len(unpacked) != size:
         raise UnpackError(f"unpacks to {len(unpacked)} bytes; expected {size}")
     return unpacked
+
+
+def unpack_message(data: Any) -> Any:
+    """Return a CDR message, unpacked if it was compressed on its own: CDR never begins like zstd or LZ4.
+
+    Raises `UnpackError`: the bytes are damaged.
+    """
+    compression = _MAGICS.get(bytes(data[:4]))
+    return data if compression is None else unpack(compression, data, None)
 
 
 def _unpack(compression: str, data: Any, most: int) -> bytes:

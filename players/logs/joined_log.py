@@ -25,7 +25,7 @@ class _Head:
 class JoinedLog:
     """A `Log` of several logs."""
 
-    def __init__(self, path: Path, kind: str, logs: Sequence[Log]) -> None:
+    def __init__(self, path: Path | str, kind: str, logs: Sequence[Log]) -> None:
         self.path = path
         self.kind = kind
         self.logs = tuple(logs)
@@ -34,6 +34,7 @@ class JoinedLog:
         self.profile = next((profile for log in logs if (profile := getattr(log, "profile", None))), None)
         self.unreadable: tuple[str, ...] = ()
         """Files of the log that cannot be read at all, with the reason."""
+        self.notes: tuple[str, ...] = ()
         self._topic_of = [{topic.name: topic for topic in log.topics} for log in logs]
 
     @property

@@ -14,16 +14,28 @@ from numpy.typing import NDArray
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players.logs import topic_discovery as discovery
-from players.logs.containers import Log, Topic, UnreadableMessageError, deserialize
+from players.logs.containers import Log, Topic, UnreadableMessageError, deserialize, first_messages
 from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.robots import other_robots
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
-from players.messages.calibration import Lens, lens_of
+from players.logs.video_log import with_video
+from players.messages.calibration import Lens, has_shape, lens_of, scaled
 from players.messages.depth_registration import Registration
-from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
-from players.messages.records import TF
+from players.messages.images import (
+    LogImage,
+    Probe,
+    check_color_encoding,
+    check_decodes,
+    check_depth_encoding,
+    check_depth_unit,
+    color_of,
+    depth_of,
+    image_of,
+    kind_of,
+)
+from players.messages.records import COMPRESSED_IMAGE, IMAGE, TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, own_parent_text, plan_poses
 from players.poses.pose_file import read_pose_file
@@ -94,24 +106,35 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     Raises `RecordingError`: colour, depth or poses are missing, or never meet in time; `CalibrationError`: intrinsics
     or the frames between pose and camera are missing.
     """
-    opening = read_opening(log, options)
+    opening = read_opening(log, options, is_live=is_live)
+    log = opening.log
     color_image, depth_image = opening.color.first, opening.depth.first
     for probe in (opening.color, opening.depth):
         if probe.first is None:
             raise RecordingError(
                 f"{log.path}: {probe.topic.name} ({probe.topic.type_name}) holds no image; found "
-                f"{probe.num_unreadable} messages that cannot be read{_damage_of(log)}"
+                f"{probe.num_unreadable} messages that cannot be read"
+                + (f" ({probe.error})" if probe.error else "")
+                + _damage_of(log)
             )
     assert color_image is not None and depth_image is not None
     check_color_encoding(color_image)
     check_depth_encoding(depth_image)
+    check_decodes(opening.color, color_of, "--color-topic")
+    check_decodes(opening.depth, depth_of, "--depth-topic")
+    check_depth_unit(opening.depth, opening.profile.depth_units_per_m)
     color_info = _info_topic(opening, opening.topics.color, color_image, opening.infos[0], "--color-info-topic")
-    color_lens = _lens(opening.reader, color_info, opening.topics.color, color_image)
+    color_lens = _lens(opening.reader, color_info, opening.color)
     depth_info, depth_lens = _depth_lens(opening, color_info, color_lens)
     color_from_depth, extrinsics = _color_from_depth(opening, color_image.frame, depth_image.frame)
     depth_ends = (color_image.frame, depth_image.frame) if extrinsics.startswith("TF") else None
     estimates = options.estimates_poses
-    plan = opening.plan or (UNPOSED if estimates else _plan(opening, color_image.frame))
+    try:
+        plan = opening.plan or (UNPOSED if estimates else _plan(opening, color_image.frame))
+    except (CalibrationError, NoPosesError) as error:
+        if reason := _unreadable(opening):
+            raise RecordingError(f"{error}{reason}") from error
+        raise
     clock, clock_reason = choose_clock(options.clock, opening.color, opening.depth, opening.reader, plan)
     stamps = [probe.stamps_ns if clock == "header" else probe.log_ns for probe in (opening.color, opening.depth)]
     tolerance_ns = options.sync_tolerance_ns
@@ -154,8 +177,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
             *([("profile", f"{profile.name}{guess}")] if profile.name else []),
             ("color", opening.topics.color.name),
             ("depth", opening.topics.depth.name),
-            ("color_info", color_info),
-            ("depth_info", depth_info),
+            ("color_info", color_info + (f" ({color_lens.note})" if color_lens.note else "")),
+            ("depth_info", depth_info + (f" ({depth_lens.note})" if depth_lens.note else "")),
             ("pose", plan.source),
             ("frames", plan.path),
             ("extrinsics", plan.extrinsics),
@@ -167,8 +190,10 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     return LogSource(log, setup)
 
 
-def read_opening(log: Log, options: SourceOptions) -> Opening:
+def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> Opening:
     """Return the contents of the beginning of a log, whether or not they suffice to play it.
+
+    The topics of a live log were chosen by name when they were subscribed to.
 
     Raises `RecordingError`: there are no messages, or no topics of colour, depth or poses.
     """
@@ -176,7 +201,9 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     own = getattr(log, "profile", None) if options.profile is None and options.robot is None else None
     profile, is_guessed = (own, False) if own is not None else choose_profile(log.topics, options)
-    topics = discovery.choose_images(log.path, log.topics, options, profile.topics)
+    log = log if is_live else with_video(log)
+    contents = {} if is_live else _contents(log)
+    topics = discovery.choose_images(log.path, log.topics, options, profile.topics, contents)
     others = other_robots(log.path, log.topics, topics.color.name, options)
     of_robot = [topic for topic in log.topics if topic.name not in others]
     poses = [] if options.pose_file else _pose_topics(log, of_robot, options, profile)
@@ -211,6 +238,12 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
         others=others,
     )
     return _filled(opening, {topic.name for topic in wanted if topic.num_messages != 0})
+
+
+def _contents(log: Log) -> dict[str, discovery.Content]:
+    topics = {topic.name: topic for topic in log.topics}
+    images = [image_of(topics[name], m) for name, m in first_messages(log, (IMAGE, COMPRESSED_IMAGE)).items()]
+    return {image.topic: discovery.Content(kind_of(image), image.frame) for image in images}
 
 
 def _pose_topics(log: Log, topics: Sequence[Topic], options: SourceOptions, profile: Profile) -> list[Topic]:
@@ -253,11 +286,11 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
 def _look_at(probe: Probe, data: object, log_ns: int) -> None:
     try:
         image = image_of(probe.topic, deserialize(probe.topic, data))
-    except UnreadableMessageError:
+    except UnreadableMessageError as error:
         probe.num_unreadable += 1
+        probe.error = probe.error or str(error)
         return
-    if probe.first is None:
-        probe.first = image
+    probe.images.append(image)
     probe.stamps_ns.append(image.stamp_ns)
     probe.log_ns.append(log_ns)
 
@@ -286,7 +319,7 @@ def _has_depth_info(opening: Opening) -> bool:
     color, depth = opening.color.first, opening.depth.first
     if color is None or depth is None:
         return False
-    return opening.infos[1] is not None or (color.frame == depth.frame and color.size == depth.size)
+    return opening.infos[1] is not None or (color.frame == depth.frame and color.size is not None)
 
 
 def _try_plan(opening: Opening) -> PosePlan | None:
@@ -322,24 +355,28 @@ def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | No
         raise CalibrationError(
             f"{opening.log.path}: no intrinsics for {topic.name}: no CameraInfo on "
             f"{asked or ' or '.join(discovery.info_names(topic))}, nor one of frame {image.frame}; "
-            f"CameraInfo topics: {infos}. Name one with {option}"
+            f"CameraInfo topics: {infos}. Name one with {option}{_unreadable(opening)}"
         )
     return found
 
 
-def _lens(reader: PoseReader, info: str, topic: Topic, image: LogImage) -> Lens:
-    return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=discovery.is_rectified(topic))
+def _lens(reader: PoseReader, info: str, probe: Probe) -> Lens:
+    is_rectified = discovery.is_rectified(probe.topic)
+    return lens_of(reader.infos[info], topic=info, image_size=probe.size, is_rectified=is_rectified)
 
 
 def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[str, Lens]:
     color, depth = opening.color.first, opening.depth.first
     assert color is not None and depth is not None
     if opening.options.depth_info_topic is None and opening.infos[1] is None:
-        size = (color_lens.camera.width, color_lens.camera.height)
-        if depth.frame == color.frame and depth.size == size:
-            return color_info, color_lens
+        size = opening.depth.size
+        if depth.frame == color.frame and size is not None and has_shape(color_lens.camera, size):
+            if size == (color_lens.camera.width, color_lens.camera.height):
+                return color_info, color_lens
+            note = f"scaled from colour to {size[0]}x{size[1]}"
+            return color_info, replace(color_lens, camera=scaled(color_lens.camera, size), note=note)
     info = _info_topic(opening, opening.topics.depth, depth, opening.infos[1], "--depth-info-topic")
-    return info, _lens(opening.reader, info, opening.topics.depth, depth)
+    return info, _lens(opening.reader, info, opening.depth)
 
 
 def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> tuple[NDArray[np.float64], str]:
@@ -382,6 +419,11 @@ def _span(reader: PoseReader, plan: PosePlan) -> tuple[int, int] | None:
     tracks = [track for key in plan.keys if (track := reader.track(key, 0)) is not None and track.num_added]
     spans = [(track.first_ns or 0, track.newest_ns or 0) for track in tracks]
     return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
+
+
+def _unreadable(opening: Opening) -> str:
+    number = opening.reader.fates["unreadable_message"]
+    return f"; {number} messages cannot be read, the first: {opening.reader.error}" if number else ""
 
 
 def _damage_of(log: Log) -> str:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from players.logs.log_damage import Flaws
     from players.logs.log_setup import LogSetup
     from players.messages.calibration import Lens
     from players.poses.tf import FrameTree
@@ -142,6 +143,8 @@ class LogSource:
         reader.end()
         for fate, number in reader.fates.items():
             ledger.count(fate, number)
+        if reader.error:
+            ledger.reasons.setdefault("unreadable_message", reader.error)
         for topic, number in reader.rejected.items():
             ledger.rejected[topic, "bad_pose"] += number
         ledger.is_complete = True
@@ -169,6 +172,15 @@ class LogSource:
         `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
         """
         return self._ledger.as_dict()
+
+    @property
+    def flaws(self) -> Flaws:
+        """The damage found so far, with packets of video that give no picture."""
+        return self._log.flaws
+
+    def reasons(self) -> Mapping[str, str]:
+        """Return the first error of the latest pass by the name of its count."""
+        return dict(self._ledger.reasons)
 
     def account(self) -> Account:
         """Return the ledger of every message in the latest pass."""
@@ -247,8 +259,9 @@ class LogSource:
     def _image(self, topic: Topic, message: LogMessage, stamp_ns: int, ledger: Ledger) -> LogImage | None:
         try:
             return image_of(topic, deserialize(topic, message.data), stamp_ns)
-        except UnreadableMessageError:
+        except UnreadableMessageError as error:
             ledger.count("unreadable_message")
+            ledger.reasons.setdefault("unreadable_message", str(error))
             ledger.unreadable[topic.name] += 1
             return None
 
@@ -320,7 +333,8 @@ class LogSource:
             lenses = (self.setup.color_lens.camera, self.setup.depth_lens.camera)
             sizes = " and ".join(f"{camera.width}x{camera.height}" for camera in lenses)
             return CalibrationError(
-                f"{path}: the camera infos are for {sizes} pixels; no pair of images has these sizes"
+                f"{path}: the camera infos are for {sizes} pixels; no pair of images has these sizes; name others with "
+                "--color-info-topic or --depth-info-topic"
             )
         tolerance = f"{self.setup.tolerance_ns / 1e6:.1f} ms"
         return RecordingError(
@@ -357,8 +371,9 @@ def _decode(
         depth_m = depth_of(pair.depth, setup.depth_units_per_m)
         _check_size(rgb.shape, setup.color_lens, pair.color)
         _check_size(depth_m.shape, setup.depth_lens, pair.depth)
-    except RecordingError:
+    except RecordingError as error:
         ledger.count("unreadable_image")
+        ledger.reasons.setdefault("unreadable_image", str(error))
         raise
     depth_m = setup.sensor.returns(depth_m)
     if not np.isfinite(depth_m).any():

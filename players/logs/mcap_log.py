@@ -19,7 +19,7 @@ from typing import Any
 from hickory_stream.errors import RecordingError
 from players.logs import mcap_records as mcap
 from players.logs.containers import LogMessage, Topic, merged_topics, summed_by
-from players.logs.decompression import UnpackError, release
+from players.logs.decompression import UnpackError, release, unpack_message
 from players.logs.log_damage import Flaws
 
 _FOOTER_BYTES = mcap.HEAD.size + 20
@@ -125,7 +125,8 @@ class McapLog:
     def _records(self, records: Any, chunk: _Chunk, wanted: set[str]) -> Iterator[LogMessage]:
         view, at, end = memoryview(records), 0, len(records)
         names = {channel: name for channel, (_, name, _) in self._survey.channels.items() if name in wanted}
-        unknown = 0
+        packable = {channel for channel in names if self._is_cdr(channel)}
+        unknown, lost = 0, Counter[str]()
         while at + mcap.HEAD.size <= end:
             opcode, length = mcap.HEAD.unpack_from(view, at)
             at += mcap.HEAD.size
@@ -135,7 +136,17 @@ class McapLog:
                 channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(view, at)
                 name = names.get(channel)
                 if name is not None:
-                    yield LogMessage(name, log_ns, view[at + mcap.MESSAGE.size : at + length])
+                    content = view[at + mcap.MESSAGE.size : at + length]
+                    if channel in packable:
+                        try:
+                            content = unpack_message(content)
+                        except UnpackError as error:
+                            lost[name] += 1
+                            what = f"{lost.total()} messages in a chunk cannot be unpacked, the last {error}"
+                            self.flaws.note(chunk.offset + 1, what, 0, lost)
+                            at += length
+                            continue
+                    yield LogMessage(name, log_ns, content)
                 elif channel not in self._survey.channels:
                     unknown += 1
             at += length
@@ -153,7 +164,13 @@ class McapLog:
                     channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(data, at)
                     name = self._name(channel)
                     if name in wanted:
-                        yield LogMessage(name, log_ns, bytes(view[at + mcap.MESSAGE.size : at + length]))
+                        content = bytes(view[at + mcap.MESSAGE.size : at + length])
+                        try:
+                            yield LogMessage(
+                                name, log_ns, unpack_message(content) if self._is_cdr(channel) else content
+                            )
+                        except UnpackError as error:
+                            self.flaws.note(at, f"a message {error}", length, {name: 1})
                     elif channel not in self._survey.channels:
                         what = "a message of a channel that no readable record describes"
                         self.flaws.note(at, what, 0, num_unknown=1)
@@ -222,6 +239,9 @@ class McapLog:
     def _name(self, channel: int) -> str:
         known = self._survey.channels.get(channel)
         return known[1] if known else ""
+
+    def _is_cdr(self, channel: int) -> bool:
+        return self._survey.channels[channel][2] == "cdr"
 
     def _bad_chunk(self, chunk: _Chunk, reason: str) -> None:
         self.flaws.note(chunk.offset, f"a chunk {reason}", chunk.num_bytes, summed_by(self._name, chunk.counts))

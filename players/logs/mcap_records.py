@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from players.logs.containers import DefinitionFormat, Topic, Wire, normalized_type
+from players.logs.containers import DefinitionFormat, Topic, Wire, normalized_type, topic_name
 from players.logs.decompression import UnpackError, unpack
 from players.messages.foxglove import ROS_TYPES
 
@@ -85,7 +85,7 @@ def learn(described: Described, opcode: int, record: bytes) -> None:
             (schema,) = struct.unpack_from("<H", record, 2)
             topic, at = _string(record, 4)
             encoding, _ = _string(record, at)
-            described.channels[number] = (schema, topic, encoding)
+            described.channels[number] = (schema, topic_name(topic), encoding)
     except (struct.error, UnicodeDecodeError, ValueError):
         pass
 

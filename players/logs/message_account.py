@@ -31,6 +31,8 @@ class Ledger:
         self.read: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()
+        #: The first error of each name, in words.
+        self.reasons: dict[str, str] = {}
         self.is_complete = False
 
     def count(self, fate: str, number: int = 1) -> None:

@@ -25,6 +25,9 @@ def open_ros2_bag(folder: Path) -> Log:
     Raises `RecordingError`: it holds no files of a bag, or none of them can be read.
     """
     files = bag_files(folder)
+    beside: list[Path] = []
+    if (folder / METADATA).is_file() and (listed := _listed(folder / METADATA)):
+        files, beside = _without_strangers(files, listed)
     if not files:
         raise RecordingError(f"{folder} has a {METADATA} and no file of a bag ({', '.join(SUFFIXES)}) beside it")
     logs, errors = [], []
@@ -39,6 +42,7 @@ def open_ros2_bag(folder: Path) -> Log:
     joined = JoinedLog(folder, f"ROS 2 bag ({', '.join(kinds)})", logs)
     joined.files = tuple(sorted(file for file in folder.iterdir() if file.is_file()))
     joined.unreadable = tuple(str(error) for error in errors)
+    joined.notes = tuple(f"{file.name} is not in {METADATA} and was left out; name it to play it" for file in beside)
     return joined
 
 
@@ -54,6 +58,17 @@ def bag_files(folder: Path) -> list[Path]:
 
     # A recorder that was killed does not list all files.
     return named + sorted((file for file in present if file not in named), key=natural)
+
+
+def _without_strangers(files: list[Path], listed: list[str]) -> tuple[list[Path], list[Path]]:
+    # A recorder that was killed has not listed its last file, whose name differs from the others in its number.
+    stems = {_stem(name) for name in listed}
+    own = [file for file in files if file.name in listed or _stem(file.name) in stems]
+    return (own, [file for file in files if file not in own]) if own else (files, [])
+
+
+def _stem(name: str) -> str:
+    return re.sub(r"_\d+(\.|$)", r"\1", name).removesuffix(".zstd")
 
 
 def open_bag_file(file: Path) -> Log:

@@ -13,13 +13,12 @@ from typing import Any
 from urllib.parse import quote
 
 from hickory_stream.errors import RecordingError
-from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
-from players.logs.decompression import UnpackError, unpack
+from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by, topic_name
+from players.logs.decompression import UnpackError, unpack_message
 from players.logs.log_damage import Flaws
 from players.logs.sqlite_pages import PageFile
 
 MAGIC = b"SQLite format 3\0"
-_ZSTD = b"\x28\xb5\x2f\xfd"
 _TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
 
 
@@ -96,17 +95,14 @@ class SqliteLog:
                 self.flaws.note(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
 
     def _message(self, name: str, log_ns: int, data: Any, rowid: int) -> LogMessage | None:
-        # CDR data never begins like zstd.
         if not isinstance(data, bytes):
             self.flaws.note(rowid, f"row {rowid} holds no bytes", 0, {name: 1})
             return None
-        if data[:4] == _ZSTD:
-            try:
-                data = unpack("zstd", data, None)
-            except UnpackError as error:
-                self.flaws.note(rowid, f"the message in row {rowid} {error}", len(data), {name: 1})
-                return None
-        return LogMessage(name, log_ns, data)
+        try:
+            return LogMessage(name, log_ns, unpack_message(data))
+        except UnpackError as error:
+            self.flaws.note(rowid, f"the message in row {rowid} {error}", len(data), {name: 1})
+            return None
 
     def _select(self, names: dict[int, str]) -> Iterator[tuple[int, int, int, Any]]:
         marks = ",".join("?" * len(names))
@@ -126,7 +122,7 @@ class SqliteLog:
                     f"found {found}"
                 )
             rows = {
-                row[0]: (row[1], row[2], row[3])
+                row[0]: (topic_name(row[1]), row[2], row[3])
                 for row in connection.execute(f"SELECT {', '.join(_TOPIC_COLUMNS)} FROM topics")
             }
             if "message_definitions" in tables:

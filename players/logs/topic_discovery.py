@@ -1,15 +1,17 @@
-"""Roles of topics by type and name; `SourceOptions` overrides them."""
+"""Roles of topics by type and by the content of their first images, then by name; `SourceOptions` overrides them."""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 from hickory_stream.errors import NoPosesError, RecordingError
-from players.logs.containers import Topic
+from players.logs.containers import Topic, topic_name
 from players.logs.robots import shared_parts
-from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
+from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF, VIDEOS
 from players.options import NO_TOPIC, SourceOptions
 
 _COLOR_POINTS = {"rgb": 8, "color": 8, "colour": 8, "left": 2, "rect": 2, "image": 1, "compressed": 1}
@@ -20,46 +22,64 @@ _NEITHER = frozenset(
 )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ImageTopics:
+class ImageTopics(NamedTuple):
     """The topics of colour and depth."""
 
     color: Topic
     depth: Topic
 
 
+class Content(NamedTuple):
+    """The content of a topic's first image: `kind` is "color", "depth" or "", which is not known."""
+
+    kind: str
+    frame: str
+
+
 def choose_images(
-    path: object, topics: Sequence[Topic], options: SourceOptions, listed: Mapping[str, Sequence[str]] | None = None
+    path: object,
+    topics: Sequence[Topic],
+    options: SourceOptions,
+    listed: Mapping[str, Sequence[str]] | None = None,
+    contents: Mapping[str, Content] | None = None,
 ) -> ImageTopics:
-    """Return the topics of colour and depth: those `listed` by role, else the best names of one camera.
+    """Return the topics of colour and depth: those `listed` by role, else the best pair of one camera.
+
+    Names tell the roles of topics without `contents`, and break ties.
 
     Raises `RecordingError`: there is none, or the log lacks the one that was named; the message lists those it has.
     """
     images = [topic for topic in topics if topic.type_name in (IMAGE, COMPRESSED_IMAGE) and topic.num_messages != 0]
-    colors = [topic for topic in images if "depth" not in topic.name.lower() and not _words(topic) & _NEITHER]
-    depths = [topic for topic in images if "depth" in topic.name.lower() and not _words(topic) & _NEITHER]
     listed = listed or {}
-    color = (
-        _named(path, images, options.color_topic, "--color-topic")
-        or _first_of(images, listed.get("color", ()))
-        or max(colors, key=_color_rank, default=None)
-    )
-    depth = (
-        _named(path, images, options.depth_topic, "--depth-topic")
-        or _first_of(images, listed.get("depth", ()))
-        or max(depths, key=lambda topic: _depth_rank(topic, color), default=None)
-    )
-    if color is None or depth is None:
-        if any(topic.name == "svo_header" for topic in topics):
-            raise RecordingError(
-                f"{path} is a recording of a ZED camera (SVO2): depth and poses are not in it, the ZED SDK makes them; "
-                f"with the SDK installed: hickory-stream live zed:{path}"
-            )
-        if not images:
-            raise RecordingError(f"{path} has no images, neither colour nor depth; {_listed('topics', topics)}")
-        role, option = ("colour", "--color-topic") if color is None else ("depth", "--depth-topic")
-        raise RecordingError(f"{path} has no {role} topic; {_listed('image topics', images)}. Name it with {option}")
-    return ImageTopics(color=color, depth=depth)
+    color = _named(path, images, options.color_topic, "--color-topic")
+    depth = _named(path, images, options.depth_topic, "--depth-topic")
+    color = color or _first_of([topic for topic in images if topic != depth], listed.get("color", ()))
+    depth = depth or _first_of([topic for topic in images if topic != color], listed.get("depth", ()))
+    is_depth = color is not None
+    # If no topic has depth, one that has it in its name is refused by its encoding, later.
+    for known in (contents or {}, {}):
+        colors = [color] if color else [c for c in images if c != depth and _may_be("color", c, depth, known)]
+        pairs = [
+            (c, d)
+            for c in ([color] if color else images)
+            for d in ([depth] if depth else images)
+            if c != d and (c == color or _may_be("color", c, d, known))
+            if d == depth or _may_be("depth", d, c, known)
+        ]
+        if pairs:
+            return ImageTopics(*max(pairs, key=partial(_rank, known)))
+        is_depth |= bool(colors) and depth is None
+    if any(topic.name == "svo_header" for topic in topics):
+        raise RecordingError(
+            f"{path} is a recording of a ZED camera (SVO2): depth and poses are not in it, the ZED SDK makes them; "
+            f"with the SDK installed: hickory-stream live zed:{path}"
+        )
+    if any(topic.type_name in VIDEOS for topic in topics):
+        raise RecordingError(f"{path} has video: pip install 'hickory-stream[video]' reads it")
+    if not images:
+        raise RecordingError(f"{path} has no images, neither colour nor depth; {_listed('topics', topics)}")
+    role, option = ("depth", "--depth-topic") if is_depth else ("colour", "--color-topic")
+    raise RecordingError(f"{path} has no {role} topic; {_listed('image topics', images)}. Name it with {option}")
 
 
 def pose_topics(
@@ -107,19 +127,38 @@ def _first_of(topics: Iterable[Topic], names: Sequence[str]) -> Topic | None:
     return next((by_name[name] for name in names if name in by_name), None)
 
 
-def _words(topic: Topic) -> set[str]:
-    return set(re.split(r"[/_]+", topic.name.lower()))
+def _words(topic: Topic) -> Counter[str]:
+    return Counter(re.split(r"[/_]+", topic.name.lower()))
 
 
-def _color_rank(topic: Topic) -> tuple[int, int, str]:
-    points = sum(_COLOR_POINTS.get(word, 0) for word in _words(topic))
-    return points, topic.num_messages or 0, _reversed(topic.name)
+def _may_be(role: str, topic: Topic, other: Topic | None, contents: Mapping[str, Content]) -> bool:
+    # Words of both topics name their camera, and tell nothing about their roles.
+    own = _words(topic) - (_words(other) if other is not None else Counter())
+    if own.keys() & _NEITHER:
+        return False
+    kind = contents[topic.name].kind if topic.name in contents else ""
+    if kind in ("color", "depth"):
+        return kind == role
+    return any("depth" in word for word in own) == (role == "depth")
 
 
-def _depth_rank(topic: Topic, color: Topic | None) -> tuple[int, int, int, str]:
-    shared = shared_parts(topic.name, color.name) if color else 0
-    points = sum(_DEPTH_POINTS.get(word, 0) for word in _words(topic))
-    return shared, points, topic.num_messages or 0, _reversed(topic.name)
+def _rank(contents: Mapping[str, Content], pair: tuple[Topic, Topic]) -> tuple[bool | int | str, ...]:
+    color, depth = pair
+    shared = shared_parts(color.name, depth.name)
+    frames = {contents[topic.name].frame if topic.name in contents else "" for topic in (color, depth)}
+    color_words, depth_words = _words(color), _words(depth)
+    color_points = sum(_COLOR_POINTS.get(word, 0) - 4 * ("depth" in word) for word in color_words.elements())
+    return (
+        shared > 0 or (len(frames) == 1 and "" not in frames),
+        any("depth" in word for word in depth_words),
+        color_points,
+        color.num_messages or 0,
+        _reversed(color.name),
+        shared,
+        sum(_DEPTH_POINTS.get(word, 0) for word in depth_words),
+        depth.num_messages or 0,
+        _reversed(depth.name),
+    )
 
 
 def _reversed(name: str) -> str:
@@ -130,7 +169,7 @@ def _named(path: object, topics: Iterable[Topic], name: str | None, option: str)
     if name is None:
         return None
     candidates = list(topics)
-    found = next((topic for topic in candidates if topic.name == name), None)
+    found = next((topic for topic in candidates if topic.name == topic_name(name)), None)
     if found is None:
         raise RecordingError(f"{path} has no topic {name} for {option}; {_listed('it has', candidates)}")
     return found

@@ -14,6 +14,7 @@ from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE,
 
 ROS_TYPES = {
     "foxglove.CompressedImage": COMPRESSED_IMAGE,
+    "foxglove.CompressedVideo": COMPRESSED_IMAGE,
     "foxglove.RawImage": IMAGE,
     "foxglove.CameraCalibration": CAMERA_INFO,
     "foxglove.PoseInFrame": POSE,
@@ -76,7 +77,7 @@ def _message_class(name: str, definition: str) -> Any:
 
 def _as_ros(name: str, fields: Any) -> Any:
     match name:
-        case "foxglove.CompressedImage":
+        case "foxglove.CompressedImage" | "foxglove.CompressedVideo":
             return SimpleNamespace(header=_header(fields), format=fields["format"], data=_bytes(fields["data"]))
         case "foxglove.RawImage":
             return SimpleNamespace(

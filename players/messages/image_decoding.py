@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.errors import RecordingError
 
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8\xff"
+PNG = b"\x89PNG\r\n\x1a\n"
+JPEG = b"\xff\xd8\xff"
 _NO_RETURN_U16 = 65535
 MAX_PIXELS = 64_000_000
 """The maximum number of pixels: an image that claims more is damaged, or a decompression bomb."""
@@ -49,9 +49,9 @@ DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 
 def compressed_size(data: bytes) -> tuple[int, int] | None:
     """Return (width, height) from the header of a JPEG or PNG, without decoding; None if there is no header."""
-    if data[:8] == _PNG and len(data) >= 24:
+    if data[:8] == PNG and len(data) >= 24:
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if data[:3] != _JPEG:
+    if data[:3] != JPEG:
         return None
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
@@ -69,7 +69,7 @@ def png_part(data: bytes, what: str) -> bytes:
     Raises `RecordingError`: there is no PNG at either place.
     """
     for start in (12, 0):
-        if data[start : start + 8] == _PNG:
+        if data[start : start + 8] == PNG:
             return data[start:]
     raise RecordingError(f"{what} holds no PNG ({len(data)} bytes); compressed depth must be a PNG of 16 bits")
 
@@ -120,7 +120,7 @@ def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what
     if not encoding.strip().startswith("32FC1"):
         return metres_of_u16(numbers, units_per_m)
     kind, a, b = struct.unpack_from("<iff", data, 0)
-    if data[:8] == _PNG or kind != 0 or not (np.isfinite((a, b)).all() and a > 0):
+    if data[:8] == PNG or kind != 0 or not (np.isfinite((a, b)).all() and a > 0):
         raise RecordingError(f"{what} is inverse depth without parameters (kind {kind}, A {a:g}, B {b:g})")
     with np.errstate(divide="ignore"):
         depth_m = np.float32(a) / (numbers.astype(np.float32) - np.float32(b))
@@ -129,7 +129,7 @@ def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what
 
 
 def _depth_numbers(data: bytes, what: str) -> NDArray[np.uint16]:
-    if data[:8] == _PNG or data[12:20] == _PNG:
+    if data[:8] == PNG or data[12:20] == PNG:
         return _decode_u16_png(png_part(data, what), what)
     width, height = rvl_size(data)
     if 0 < width * height <= MAX_PIXELS and width * height <= 64 * len(data) * 64:
@@ -214,9 +214,9 @@ def _check_whole(data: bytes, what: str) -> None:
     if not data:
         raise RecordingError(f"{what} is empty")
     tail = data[-4096:].rstrip(b"\0")[-16:]
-    if data[:8] == _PNG:
+    if data[:8] == PNG:
         is_whole = b"IEND" in tail
-    elif data[:3] == _JPEG:
+    elif data[:3] == JPEG:
         is_whole = tail.endswith(b"\xff\xd9")
     else:
         raise RecordingError(f"{what} is neither JPEG nor PNG (it begins with {data[:8].hex(' ')})")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+VIDEOS = ("foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket")
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -36,7 +37,10 @@ class StampedPose:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CameraInfo:
-    """The fields of a `CameraInfo`: `K` (3, 3), `P` (3, 4), `D` (n,); `size` is (width, height), (0, 0) if unset."""
+    """The fields of a `CameraInfo`: `K` (3, 3), `P` (3, 4), `D` (n,); `size` is (width, height), (0, 0) if unset.
+
+    Size, `K` and `P` are those of the whole sensor, unbinned; images are its `region` (x, y, width, height), binned.
+    """
 
     frame: str
     size: tuple[int, int]
@@ -44,6 +48,13 @@ class CameraInfo:
     P: NDArray[np.float64]
     D: NDArray[np.float64]
     distortion_model: str
+    binning: tuple[int, int] = (1, 1)
+    region: tuple[int, int, int, int] = (0, 0, 0, 0)
+
+    @property
+    def layout(self) -> tuple[object, ...]:
+        """Which pixels of the sensor the images have."""
+        return self.size, self.binning, self.region
 
 
 def header_stamp_ns(message: Any) -> int:
@@ -72,6 +83,7 @@ def poses_of(type_name: str, message: Any) -> list[StampedPose]:
 def camera_info_of(message: Any) -> CameraInfo:
     """Return the calibration of a `CameraInfo` message."""
     k, p, d = (getattr(message, name if hasattr(message, name) else name.upper()) for name in "kpd")
+    roi = getattr(message, "roi", None)
     return CameraInfo(
         frame=frame_name(message.header.frame_id),
         size=(int(message.width), int(message.height)),
@@ -79,6 +91,9 @@ def camera_info_of(message: Any) -> CameraInfo:
         P=np.asarray(p, dtype=np.float64).reshape(3, 4),
         D=np.asarray(d, dtype=np.float64).ravel(),
         distortion_model=str(message.distortion_model),
+        # 0 is no binning; Foxglove's calibrations have neither field.
+        binning=(max(1, int(getattr(message, "binning_x", 1))), max(1, int(getattr(message, "binning_y", 1)))),
+        region=(roi.x_offset, roi.y_offset, roi.width, roi.height) if roi is not None else (0, 0, 0, 0),
     )
 
 

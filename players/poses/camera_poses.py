@@ -168,6 +168,8 @@ class PoseReader:
         self.infos: dict[str, CameraInfo] = {}
         self.seen: set[str] = set()
         self.fates: Counter[str] = Counter()
+        #: Why the first unreadable message is one.
+        self.error = ""
         self.rejected: Counter[str] = Counter()
 
     def add(self, message: LogMessage, clock: int = 0) -> None:
@@ -257,22 +259,22 @@ class PoseReader:
             return
         try:
             info = camera_info_of(deserialize(topic, message.data))
-        except (UnreadableMessageError, ValueError, AttributeError):
-            self.fates["unreadable_message"] += 1
+        except (UnreadableMessageError, ValueError, AttributeError) as error:
+            self._unreadable(error)
             return
         self._info_bytes[topic.name] = content
         known = self.infos.get(topic.name)
         is_set = info.K[0, 0] > 0
         if known is None or (is_set and not known.K[0, 0] > 0):
             self.infos[topic.name] = info
-        elif is_set and (known.size != info.size or np.abs(known.K - info.K).max() > 1e-6):
+        elif is_set and (known.layout != info.layout or np.abs(known.K - info.K).max() > 1e-6):
             self.fates["camera_info_changed"] += 1
 
     def _add_poses(self, topic: Topic, message: LogMessage, clock: int) -> None:
         try:
             poses = poses_of(topic.type_name, deserialize(topic, message.data))
-        except (UnreadableMessageError, AttributeError):  # A damaged definition lacks fields.
-            self.fates["unreadable_message"] += 1
+        except (UnreadableMessageError, AttributeError) as error:  # A damaged definition lacks fields.
+            self._unreadable(error)
             return
         is_tf = topic.type_name in TF
         is_static = is_tf and topic.name.endswith("tf_static")
@@ -326,6 +328,10 @@ class PoseReader:
         if self._topics[key[0]].type_name not in TF:
             self.fates["duplicate_pose"] += track.num_duplicates - doubles
             self.rejected[key[0]] += track.num_teleports - before + track.num_duplicates - doubles
+
+    def _unreadable(self, error: Exception) -> None:
+        self.fates["unreadable_message"] += 1
+        self.error = self.error or str(error)
 
     def _reject(self, topic: Topic, fate: str) -> None:
         self.fates[fate] += 1

@@ -80,7 +80,7 @@ def resized(of: Intrinsics, size: tuple[int, int], new: tuple[int, int]) -> Intr
 def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
     """Return the intrinsics and the depth units per metre of a `cam_params.json`.
 
-    Accepted are fx, fy, cx, cy or a 3x3 K, at the top or under `camera`; `scale`, `depth_scale` or
+    Accepted are fx, fy, cx, cy or a 3x3 K, and w and h, at the top or under `camera`; `scale`, `depth_scale` or
     `depth_units_per_m` (default 1000).
 
     Raises `CalibrationError`: the file cannot be read or a value is missing.
@@ -92,13 +92,15 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
             (fx, _, cx), (_, fy, cy) = np.asarray(table["K"], dtype=np.float64).reshape(3, 3)[:2].tolist()
         else:
             fx, fy, cx, cy = (float(table[name]) for name in ("fx", "fy", "cx", "cy"))
+        sides = [int(table.get(side[0], table.get(side)) or 0) for side in ("width", "height")]
+        width, height = sides if all(sides) else (None, None)
         names = ("depth_units_per_m", "depth_scale", "scale")
         units_per_m = next((float(table[name]) for name in names if name in table), 1000.0)
     # Some files give the scale as metres per unit, which is below one.
     units_per_m = 1.0 / units_per_m if 0 < units_per_m < 1 else units_per_m
     if not (fx > 0 and fy > 0 and units_per_m > 0):
         raise CalibrationError(f"{file}: fx {fx}, fy {fy}, scale {units_per_m}; all must be positive")
-    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy), units_per_m
+    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height), units_per_m
 
 
 def read_world_from_log(folder: Path) -> NDArray[np.float64]:

@@ -163,18 +163,21 @@ class FrameCollector:
             error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
         usual = None
+        origins = dict(zip(ROLES, streams, strict=True) if isinstance(streams, tuple) else streams)
         if depth_intrinsics is not None:
             sizes = sizes_of(found[1:3] for found in self._found)
             usual = self.view(
                 sizes, depth_units_per_m or self._profile.depth_units_per_m, depth_intrinsics, color_intrinsics
             )
+            width, height = depth_intrinsics.width, depth_intrinsics.height
+            if width is not None and (width, height) not in sizes:
+                origins["camera_info"] += f" (scaled from {width}x{height})"
         frames = []
         for stamp_ns, color, depth, pose, own in self._found:
             view = own or usual
             assert view is not None
             frames.append(FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=pose, view=view))
         world_from_log, up = self._upright(frames)
-        origins = dict(zip(ROLES, streams, strict=True)) if isinstance(streams, tuple) else streams
         content = FolderContent(
             kind=kind,
             sensor=self._profile.sensor,
@@ -197,12 +200,14 @@ class FrameCollector:
     ) -> FolderView:
         """Return a calibration without distortion; colour has by default the intrinsics of depth.
 
-        Raises `RangeError`: the unit of depth is none.
+        Raises `RangeError`: the unit of depth is none; `CalibrationError`: the intrinsics are of another size.
         """
         _UNITS.check("depth", depth_units_per_m)
+        if color is None:
+            depth = depth.of_nearest(sizes)
         registration = Registration(
-            depth_camera=depth.camera(sizes[1]),
-            color_camera=(color or depth).camera(sizes[0]),
+            depth_camera=depth.camera(sizes[1], str(self._folder)),
+            color_camera=(color or depth).camera(sizes[0], str(self._folder)),
             color_from_depth=self._color_from_depth,
         )
         return FolderView(registration=registration, depth_units_per_m=depth_units_per_m)

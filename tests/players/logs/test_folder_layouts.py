@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+import cv2
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError, RecordingError
@@ -61,7 +62,8 @@ def test_7_scenes_colour_is_a_camera_of_its_own_by_default(tmp_path):
 
 def test_the_profile_of_7_scenes_is_the_fitted_colour_camera(seven):
     camera = open_source(seven).info.camera
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.7, 525.7, 323.6, 235.7)
+    # An eighth of 525.7, 525.7, 323.6, 235.7 of 640x480; pixel centres are at integers.
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((65.7125, 65.7125, 40.0125, 29.025))
 
 
 def test_7_scenes_stamps_are_file_numbers_at_30_hz(seven):
@@ -189,7 +191,7 @@ def test_a_tum_folder_names_the_list_that_is_missing(tum, name):
 def test_a_tum_folder_without_intrinsics_uses_the_profile(tum):
     (tum / "camera-intrinsics.txt").unlink()
     camera = open_source(tum).info.camera
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.0, 525.0, 319.5, 239.5)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (65.625, 65.625, 39.5, 29.5)  # an eighth of 640x480
 
 
 def test_tum_poses_that_never_overlap_are_refused_with_ranges(tum):
@@ -257,3 +259,55 @@ def test_missing_parameters_are_a_missing_calibration(posed):
     (posed / "cam_params.json").unlink()
     with pytest.raises(CalibrationError, match=r"has no cam_params\.json"):
         open_source(posed)
+
+
+def _resize(folder, pattern: str, size: tuple[int, int]) -> None:
+    for file in folder.glob(pattern):
+        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        scenes.write_png(file, cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))
+
+
+@pytest.mark.parametrize("is_sized", [False, True])
+def test_depth_of_half_the_size_has_intrinsics_of_half(tmp_path, is_sized):
+    folder = scenes.write_posed_folder(tmp_path / "log", TRUTH)
+    if not is_sized:
+        parameters = json.loads((folder / "cam_params.json").read_text())["camera"]
+        (folder / "cam_params.json").write_text(json.dumps({k: v for k, v in parameters.items() if k not in "wh"}))
+    _resize(folder, "depth/*.png", (40, 30))
+    frame = next(open_source(folder).frames()).decode()
+    both = np.isfinite(frame.depth_m) & np.isfinite(TRUTH[0].depth_m)
+    assert both.mean() > 0.9 * np.isfinite(TRUTH[0].depth_m).mean()
+    assert np.median(np.abs(frame.depth_m - TRUTH[0].depth_m)[both]) < 0.02
+    assert (frame.camera.fx, frame.camera.cx) == (scenes.CAMERA.fx, scenes.CAMERA.cx)
+
+
+def test_images_resized_since_their_calibration_are_told(tmp_path):
+    folder = scenes.write_posed_folder(tmp_path / "log", TRUTH)
+    for pattern in ("rgb/*", "depth/*"):
+        _resize(folder, pattern, (160, 120))
+    source = open_source(folder)
+    assert (source.info.camera.fx, source.info.camera.cx) == (140.0, 79.5)
+    assert dict(source.info.streams)["camera_info"] == "cam_params.json (scaled from 80x60)"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"w": 80, "h": 45}, "are of images of 80x45 pixels, those of 80x60"),
+        ({"cx": 159.5, "cy": 119.5}, "not those of images of 80x60"),
+    ],
+)
+def test_intrinsics_of_other_images_are_refused(tmp_path, parameters, told):
+    folder = scenes.write_posed_folder(tmp_path / "log", TRUTH)
+    camera = {"fx": 70, "fy": 70, "cx": 39.5, "cy": 29.5, "scale": 1000}
+    (folder / "cam_params.json").write_text(json.dumps({**camera, **parameters}))
+    with pytest.raises(CalibrationError, match=told):
+        open_source(folder)
+
+
+def test_usual_intrinsics_of_a_layout_are_not_of_any_image(tum):
+    (tum / "camera-intrinsics.txt").unlink()
+    for pattern in ("rgb/*", "depth/*"):
+        _resize(tum, pattern, (80, 45))
+    with pytest.raises(CalibrationError, match=r"of 640x480 pixels, those of 80x45.*camera-intrinsics.txt"):
+        open_source(tum)

@@ -145,10 +145,8 @@ def test_inverse_depth_without_parameters_is_refused(tmp_path):
     def recode(message: scenes.Message) -> scenes.Message:
         return replace(message, message=replace(message.message, format="32FC1; compressedDepth png"))
 
-    source = _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
-    with pytest.raises(RecordingError, match="inverse depth without parameters"):
-        next(source.frames()).decode()
-    assert source.ledger()["unreadable_image"] == 1
+    with pytest.raises(RecordingError, match=r"none of the first 6 images.*inverse depth without parameters"):
+        _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
 
 
 @pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
@@ -186,9 +184,38 @@ def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
 
 
 def test_images_that_all_contradict_calibration_are_refused(tmp_path):
-    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, replace(scenes.CAMERA, width=1280, height=720))
+    wide = Camera(width=1280, height=720, fx=700, fy=700, cx=640, cy=360)
+    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, wide)
     with pytest.raises(CalibrationError, match=r"for 1280x720 and 80x60 pixels; no pair"):
         _open(tmp_path, _with_info(COLOR_INFO, info))
+
+
+def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
+    k = np.array([[140.0, 0, 99], [0, 140, 79], [0, 0, 1]])  # doubled, with 20 columns and rows to the left and above
+    region = M.make(
+        "sensor_msgs/msg/RegionOfInterest", x_offset=20, y_offset=20, height=120, width=160, do_rectify=False
+    )
+    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, Camera(width=200, height=160, fx=140, fy=140, cx=99, cy=79))
+    info = replace(info, binning_x=2, binning_y=2, roi=region, k=k.ravel())
+    source = _open(tmp_path, _with_info(COLOR_INFO, info))
+    assert source.info.camera == replace(scenes.CAMERA, cx=39.5, cy=29.5)
+    assert dict(source.info.streams)["color_info"] == f"{COLOR_INFO} (region 160x120 at 20, 20, binned to 80x60)"
+    assert source.ledger()["frames"] == 1
+
+
+@pytest.mark.parametrize("size", [(40, 30), (160, 120)])
+def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size):
+    def resize(message: scenes.Message) -> scenes.Message:
+        i = (message.stamp_ns - scenes.START_NS) // scenes.PERIOD_NS
+        depth_mm = cv2.resize(TRUTH[i].depth_mm, size, interpolation=cv2.INTER_NEAREST)
+        image = M.image(message.stamp_ns, scenes.OPTICAL, "16UC1", depth_mm)
+        return replace(message, message=image)
+
+    log = [m for m in _changed(scenes.RAW_DEPTH, resize, RAW_LOG) if m.topic != "/cam/aligned_depth/camera_info"]
+    frame = next(_open(tmp_path, log).frames()).decode()
+    both = np.isfinite(frame.depth_m) & np.isfinite(TRUTH[0].depth_m)
+    assert both.mean() > 0.9 * np.isfinite(TRUTH[0].depth_m).mean()
+    assert np.median(np.abs(frame.depth_m - TRUTH[0].depth_m)[both]) < 0.02
 
 
 def test_depth_without_a_single_return_is_a_frame_and_counted(tmp_path):

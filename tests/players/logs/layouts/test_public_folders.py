@@ -13,7 +13,7 @@ from players.logs.layouts.table import LAYOUTS, layout_of
 from tests import player_scenes as scenes
 from tools.worlds.image_folders import FOLDER_LOGS, BopLog
 
-ICL_CAMERA = Camera(width=80, height=60, fx=481.2, fy=480.0, cx=319.5, cy=239.5)
+ICL_CAMERA = Camera(width=80, height=60, fx=60.15, fy=60.0, cx=39.5, cy=29.5)
 KINDS = {
     "bop": "BOP scene", "icl_nuim": "ICL-NUIM folder", "arkit_scenes": "ARKitScenes folder", "open3d": "Open3D folder",
     "nerfstudio": "nerfstudio folder", "scannet": "ScanNet folder",

@@ -1,0 +1,152 @@
+import base64
+import json
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from rosbags.typesys import get_types_from_msg
+from hickory_stream.errors import RecordingError
+from players import SourceOptions, open_source
+from players.doctor.diagnosis import SOUND, WITH_LOSSES, examine
+from tests import player_scenes as scenes
+
+M = scenes.Messages(ros=2)
+FRAMES = scenes.make_scene(num_frames=12)
+VIDEO, FFMPEG = "foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+M.store.register(
+    get_types_from_msg("builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format", VIDEO)
+)
+M.store.register(
+    get_types_from_msg(
+        "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+        "bool is_bigendian\nuint8[] data",
+        FFMPEG,
+    )
+)
+
+
+def _coded(images: list[np.ndarray], codec: str, pixels: str, **options: str) -> list[bytes]:
+    """Return the packets of images, in the order in which the encoder gives them, each with the number of its image."""
+    av = pytest.importorskip("av")
+    encoder = av.CodecContext.create(codec, "w")
+    encoder.height, encoder.width = images[0].shape[:2]
+    encoder.pix_fmt, encoder.time_base, encoder.options = pixels, Fraction(1, 10), options
+    packets = []
+    for i, image in enumerate([*images, None]):
+        frame = None
+        if image is not None:
+            given = "rgb24" if image.ndim == 3 else pixels
+            frame = av.VideoFrame(image.shape[1], image.shape[0], given)
+            plane = np.frombuffer(frame.planes[0], dtype=image.dtype)
+            rows = plane.reshape(image.shape[0], -1)
+            rows[:, : image[0].size] = image.reshape(image.shape[0], -1)
+            frame = frame if given == pixels else frame.reformat(format=pixels)
+            frame.pts = i
+        packets += [(packet.pts, bytes(packet)) for packet in encoder.encode(frame)]
+    return packets
+
+
+LIVE = {"tune": "zerolatency", "crf": "4"}
+CODED = {
+    "h264": lambda images: _coded(images, "libx264", "yuv420p", **LIVE),
+    "h264 with delayed pictures": lambda images: _coded(images, "libx264", "yuv420p", bf="2", crf="4"),
+    "h265": lambda images: _coded(images, "libx265", "yuv420p", **LIVE, **{"x265-params": "log-level=none"}),
+    "vp9": lambda images: _coded(
+        images, "libvpx-vp9", "yuv420p", crf="4", deadline="realtime", **{"lag-in-frames": "0"}
+    ),
+}
+
+
+def _stamp(stamp_ns: int) -> Any:
+    return M.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+
+
+def _compressed_image(stamp_ns: int, data: bytes, codec: str) -> Any:
+    return M.compressed(stamp_ns, scenes.OPTICAL, codec, data)
+
+
+def _compressed_video(stamp_ns: int, data: bytes, codec: str) -> Any:
+    pixels = np.frombuffer(data, dtype=np.uint8)
+    return M.make(VIDEO, timestamp=_stamp(stamp_ns), frame_id=scenes.OPTICAL, data=pixels, format=codec)
+
+
+def _packet(stamp_ns: int, data: bytes, codec: str) -> Any:
+    return M.make(
+        FFMPEG, header=M.header(stamp_ns, scenes.OPTICAL), width=80, height=60, encoding=f"{codec};yuv420p;rgb8", pts=0,
+        flags=0, is_bigendian=False, data=np.frombuffer(data, dtype=np.uint8),
+    )  # fmt: skip
+
+
+def _log(path: Path, make: Any, packets: list[tuple[int, bytes]], codec: str, topic: str = scenes.RAW_COLOR) -> Path:
+    """Write the log with video in place of the images of a topic; a message has the stamp of its picture."""
+    log = [m for m in scenes.scene_messages(M, FRAMES, scenes.raw_images) if m.topic != topic]
+    for order, (number, data) in enumerate(packets):
+        message = make(FRAMES[number].stamp_ns, data, codec)
+        log.append(scenes.Message(topic=topic, stamp_ns=FRAMES[order].stamp_ns, message=message))
+    return scenes.write_mcap(path / "log.mcap", M, sorted(log, key=lambda message: message.stamp_ns))
+
+
+def _error(log: Path) -> list[float]:
+    frames = [raw.decode() for raw in open_source(log).frames()]
+    truth = {frame.stamp_ns: frame for frame in FRAMES}
+    return [float(np.abs(f.rgb.astype(int) - truth[f.stamp_ns].rgb).mean()) for f in frames]
+
+
+@pytest.mark.parametrize("name", CODED)
+@pytest.mark.parametrize("make", [_compressed_image, _compressed_video, _packet])
+def test_video_is_the_colour_of_its_frames(tmp_path, name, make):
+    packets = CODED[name]([frame.rgb for frame in FRAMES])
+    log = _log(tmp_path, make, packets, name.split()[0])
+    errors = _error(log)
+    # Consecutive frames differ by more.
+    assert len(errors) == len(FRAMES)
+    assert max(errors) < 6.0 < np.abs(FRAMES[0].rgb.astype(int) - FRAMES[3].rgb).mean()
+    found = examine([log], SourceOptions())
+    assert (found.status, found.problems) == (SOUND, [])
+
+
+def test_packets_before_the_first_key_frame_are_losses(tmp_path):
+    packets = _coded([frame.rgb for frame in FRAMES], "libx264", "yuv420p", **LIVE, **{"g": "6", "forced-idr": "1"})
+    log = _log(tmp_path, _compressed_image, packets[2:], "h264")
+    assert len(_error(log)) == 6
+    found = examine([log], SourceOptions())
+    assert found.status == WITH_LOSSES
+    assert "4 of 10 packets" in found.damage[0]["what"]
+
+
+def test_lossless_depth_is_exact(tmp_path):
+    lossless = {"tune": "zerolatency", "x265-params": "lossless=1:log-level=none"}
+    packets = _coded([frame.depth_mm for frame in FRAMES], "libx265", "gray12le", **lossless)
+    log = _log(tmp_path, _packet, packets, "hevc", scenes.RAW_DEPTH)
+    for raw, truth in zip(open_source(log).frames(), FRAMES, strict=True):
+        np.testing.assert_array_equal(raw.decode().depth_m, truth.depth_m)
+
+
+def test_foxglove_s_json_holds_video_too(tmp_path):
+    packets = CODED["h264"]([frame.rgb for frame in FRAMES])
+    log = [m for m in scenes.scene_messages(M, FRAMES, scenes.raw_images) if m.topic != scenes.RAW_COLOR]
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="")
+        schema = writer.register_schema("foxglove.CompressedVideo", "jsonschema", b"{}")
+        channel = writer.register_channel(scenes.RAW_COLOR, "json", schema)
+        for frame, (_, data) in zip(FRAMES, packets, strict=True):
+            stamp = {"sec": frame.stamp_ns // 10**9, "nsec": frame.stamp_ns % 10**9}
+            content = base64.b64encode(data).decode()
+            text = json.dumps({"timestamp": stamp, "frame_id": scenes.OPTICAL, "format": "h264", "data": content})
+            writer.add_message(channel, frame.stamp_ns, text.encode(), frame.stamp_ns)
+        writer.finish()
+    rest = scenes.write_mcap(tmp_path / "rest.mcap", M, log)
+    assert sum(1 for _ in open_source([path, rest]).frames()) == len(FRAMES)
+
+
+@pytest.mark.parametrize("make", [_compressed_image, _compressed_video])
+def test_without_pyav_the_extra_is_named(tmp_path, monkeypatch, make):
+    packets = [(i, b"\0\0\0\1\x67 and so on") for i in range(len(FRAMES))]
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(RecordingError, match=r"video.*pip install 'hickory-stream\[video\]'"):
+        open_source(_log(tmp_path, make, packets, "h264"))
