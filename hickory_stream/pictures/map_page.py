@@ -9,7 +9,6 @@ import base64
 import gzip
 import html
 import io
-import json
 import zipfile
 from importlib import metadata
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.base.terminal import visible
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.display import color_of_id
@@ -87,7 +87,7 @@ def map_page(saved: SavedMap, meshes: trimesh.Scene) -> bytes:
         "about": f"{len(objects)} objects, {num_floors} floor{'' if num_floors == 1 else 's'}; metres, z up",
         "three": three_js(),
         # No text of the data ends its element.
-        "data": json.dumps(data).replace("<", "\\u003c"),
+        "data": dumps(data).replace("<", "\\u003c"),
         "map": base64.b64encode(gzip.compress(meshes.export(file_type="glb"), mtime=0)).decode(),
     }
     first, *rest = _PAGE.read_text(encoding="utf-8").split("{{")

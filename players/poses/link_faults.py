@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from players.messages.records import StampedPose
 from players.poses.tracks import GrowingTrack
@@ -45,7 +46,7 @@ class LinkFaults:
     ) -> bool:
         """Return whether a static link differs from the one before it, and note the difference."""
         difference = compose(invert(before[1]), now)
-        off_m, off_rad = math.hypot(*difference[:3, 3]), rotation_angle_rad(difference[:3, :3])
+        off_m, off_rad = portable.norm(difference[:3, 3]), rotation_angle_rad(difference[:3, :3])
         if before[0] == pose.parent and off_m < _SAME_M and off_rad < _SAME_RAD:
             return False
         self.count("again", topic, pose)

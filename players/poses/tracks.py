@@ -206,13 +206,13 @@ class GrowingTrack:
         if 4.0 * (x * x + y * y + z * z) < ASIDE_M * ASIDE_M:
             return
         aside = tuple(b - 0.5 * (a + c) for a, b, c in zip(before[:3], now[:3], after[:3], strict=True))
-        length = math.hypot(*aside)
+        length = portable.norm(aside)
         if length < max(ASIDE_M, _distance(before, after)):
             return
         if self._aside is not None:
             along = abs(sum(a * b for a, b in zip(aside, self._aside, strict=True)))
             # Noise has no direction.
-            is_aligned = along > 0.9 * length * math.hypot(*self._aside)
+            is_aligned = along > 0.9 * length * portable.norm(self._aside)
             self._num_aligned = self._num_aligned + 1 if is_aligned else 0
             self.num_rivals += self._num_aligned >= _LEAST_ALIGNED
         self._aside = aside

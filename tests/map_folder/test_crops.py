@@ -27,15 +27,6 @@ def test_a_crop_round_trips_with_depth_to_the_millimetre(tmp_path):
     assert np.nanmax(np.abs(back.depth_m - crop.depth_m)) <= 0.0005 + 1e-6
 
 
-def test_an_old_view_has_the_sensor_of_an_unknown_camera(tmp_path):
-    write_crop(tmp_path, "v", make_crop())
-    description = crop_files(tmp_path, "v")[2]
-    written = json.loads(description.read_text(encoding="utf-8"))
-    del written["sensor"]
-    description.write_text(dumps(written), encoding="utf-8")
-    assert read_crop(tmp_path, "v").sensor == DepthSensor()
-
-
 def test_depth_that_has_no_place_in_16_bits_becomes_no_return(tmp_path):
     depth = np.array([[0.0, -1.0, np.inf, 65.535, 65.6, 0.0004, np.nan, 1.0]], dtype=np.float32)
     crop = Crop(

@@ -109,8 +109,9 @@ def test_a_shrunk_layer_four_is_nowhere_certified_or_exported(path, tmp_path, ca
     assert (summary["is_altered"], summary["num_certified"]) == (True, 0)
     assert not any(row["containment"]["is_certified"] for row in summary["objects"] if row["containment"])
 
+    other = shutil.copytree(path, tmp_path / "other")
     plan = ("plan", path, "--start", "0,-1.5", "--goal", "0,-1.4", "--robot", "point")
-    for refused in (plan, ("export", path, "-o", tmp_path / "x.json"), ("merge", path, path, "-o", tmp_path / "both")):
+    for refused in (plan, ("export", path, "-o", tmp_path / "x.json"), ("merge", path, other, "-o", tmp_path / "both")):
         status, told, error = call(capsys, *refused)
         assert (status, told) == (2, "")
         assert len(error.splitlines()) == 1

@@ -203,6 +203,7 @@ def test_play_checks_with_debug_only_and_ends_in_one_line(options, tmp_path):
     play = ["play", "recordings/demo.mcap", "--frames", "2", "--out", str(tmp_path / "map"), "--viewer", "none"]
     command = [sys.executable, "-c", script, *play, *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
-    assert done.returncode == (1 if options else 0), done.stderr
+    # Two frames confirm no object, which is status 3.
+    assert done.returncode == (1 if options else 3), done.stderr
     told = "hickory-stream: the map's state is broken after keyframe 0: it is on purpose; found this"
     assert (told in done.stderr.splitlines()) == bool(options)

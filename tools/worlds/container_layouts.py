@@ -1,7 +1,6 @@
 """Synthetic logs as the files of ScanNet (.sens), Record3D (.r3d and its export) and the RealSense viewer (.bag)."""
 
 import io
-import json
 import struct
 import zipfile
 import zlib
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import (
     from_rotation_translation,
@@ -94,7 +94,7 @@ class Record3dExport(FolderLog):
             "perFrameIntrinsicCoeffs": [[camera.fx, camera.fy, camera.cx, camera.cy] for _ in self.poses],
             "frameTimestamps": [(stamp_ns - self.stamps_ns[0]) / 1e9 for stamp_ns in self.stamps_ns],
         }  # fmt: skip
-        self.files[self.metadata] = json.dumps(table).encode()
+        self.files[self.metadata] = dumps(table).encode()
         self.write()
 
     def write(self) -> None:

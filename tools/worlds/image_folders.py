@@ -1,7 +1,6 @@
 """Synthetic logs as the image folders of public data sets, with their units, axes and quirks, and their annotations."""
 # The numbers and axes are repeated here, so that an error in a reader of `players` cannot cancel itself out.
 
-import json
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -9,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.evaluation.truth import Truth, instances_of, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
@@ -83,7 +83,7 @@ class BopLog(FolderLog):
                 "cam_K": self._camera.K.ravel().tolist(), "depth_scale": 0.1,
                 **_in_mm(camera_from_first, "cam_{}_w2c"),
             }  # fmt: skip
-        self.text(f"{_BOP_SCENE}/scene_camera.json", json.dumps(table, indent=1))
+        self.text(f"{_BOP_SCENE}/scene_camera.json", dumps(table, indent=1))
 
 
 class IclNuimLog(FolderLog):
@@ -136,7 +136,7 @@ class Open3dLog(FolderLog):
         self.text("trajectory.log", "".join(blocks))
         c = self._camera
         matrix = {"width": c.width, "height": c.height, "intrinsic_matrix": c.K.T.ravel().tolist()}
-        self.text("camera_intrinsic.json", json.dumps(matrix))
+        self.text("camera_intrinsic.json", dumps(matrix))
 
 
 class NerfstudioLog(FolderLog):
@@ -156,7 +156,7 @@ class NerfstudioLog(FolderLog):
         calibration = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx + 0.5, "cy": c.cy + 0.5}
         # The order of frames is arbitrary.
         table = {"camera_model": "OPENCV", **calibration, "k1": 0.0, "frames": frames[::-1]}
-        self.text("transforms.json", json.dumps(table, indent=1))
+        self.text("transforms.json", dumps(table, indent=1))
 
 
 class ScannetLog(FolderLog):
@@ -204,7 +204,7 @@ def _annotate_bop(folder: Path, truth: Truth) -> None:
             **{f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)},
             **{f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)},
         }
-    (folder / "models/models_info.json").write_text(json.dumps(infos, indent=1))
+    (folder / "models/models_info.json").write_text(dumps(infos, indent=1))
     scene, table = folder / _BOP_SCENE, {}
     (scene / "mask_visib").mkdir()
     for frame in truth.frames:
@@ -216,7 +216,7 @@ def _annotate_bop(folder: Path, truth: Truth) -> None:
         for i, item in enumerate(shown):
             mask = np.where(instances == item.id, 255, 0).astype(np.uint8)
             (scene / f"mask_visib/{frame.index:06d}_{i:06d}.png").write_bytes(encode_png(mask))
-    (scene / "scene_gt.json").write_text(json.dumps(table, indent=1))
+    (scene / "scene_gt.json").write_text(dumps(table, indent=1))
 
 
 def _annotate_arkit(folder: Path, truth: Truth) -> None:
@@ -230,7 +230,7 @@ def _annotate_arkit(folder: Path, truth: Truth) -> None:
         segments = {"obbAligned": aligned}
         data.append({"uid": str(item.id), "objectId": item.id, "label": item.kind, "segments": segments})
     file = folder / f"{folder.name}_3dod_annotation.json"
-    file.write_text(json.dumps({"data": data, "skipped": False}, indent=1))
+    file.write_text(dumps({"data": data, "skipped": False}, indent=1))
 
 
 def _annotate_scannet(folder: Path, truth: Truth) -> None:
@@ -239,9 +239,9 @@ def _annotate_scannet(folder: Path, truth: Truth) -> None:
     name = "scene0000_00"
     _write_ply(folder / f"{name}_vh_clean_2.ply", [mesh for _, mesh in items], 1.0)
     segments = [10 * i for i, (_, mesh) in enumerate(items) for _ in mesh.vertices]
-    (folder / f"{name}_vh_clean_2.0.010000.segs.json").write_text(json.dumps({"segIndices": segments}))
+    (folder / f"{name}_vh_clean_2.0.010000.segs.json").write_text(dumps({"segIndices": segments}))
     groups = [{"id": i, "objectId": i, "segments": [10 * i], "label": kind} for i, (kind, _) in enumerate(items)]
-    (folder / f"{name}.aggregation.json").write_text(json.dumps({"segGroups": groups}))
+    (folder / f"{name}.aggregation.json").write_text(dumps({"segGroups": groups}))
 
 
 def _rows(matrix: NDArray[np.float64], digits: int = 9) -> str:

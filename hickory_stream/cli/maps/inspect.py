@@ -71,7 +71,8 @@ def run(options: argparse.Namespace) -> int:
         print(output("inspect", as_json(summary), indent=1))
     else:
         print(format_table(summary, with_layers=options.layers, near=origin))
-    if found.objects or options.at is not None:
+    # A run that goes on, or was killed, has no ledger yet, and may find objects.
+    if found.objects or options.at is not None or not (options.map / "ledger.json").is_file():
         return 0
     sys.stdout.flush()
     sys.stderr.write(f"{why_no_objects(options.map)}\n")

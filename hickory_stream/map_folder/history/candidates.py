@@ -86,7 +86,9 @@ def why_no_objects(path: Path) -> str:
     if blind:
         reasons.append(f"{blind / keyframes:.0%} of them have no depth")
     if candidates is not None and candidates.made:
-        reasons.append(f"all {candidates.made} candidates were dropped ({candidates.why_dropped()})")
+        merged = f" and {candidates.merged} merged with these" if candidates.merged else ""
+        dropped = f"{candidates.dropped} dropped ({candidates.why_dropped()})"
+        reasons.append(f"of {candidates.made} candidates {dropped}{merged}")
     elif candidates is not None:
         reasons.append("no part of an image stood out from floor and walls")
     return "; ".join([*reasons, "`hickory-stream doctor LOG` examines depth, poses and calibration"])

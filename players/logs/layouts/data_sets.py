@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import (
@@ -216,7 +217,7 @@ def open_nerfstudio(folder: Path, options: SourceOptions) -> FolderSource:
             sizes = sizes or sizes_of((c, d) for (c, _), d in zip(entries, depths, strict=True) if d is not None)
             with expecting(file, f"fl_x, fl_y, cx, cy and a known camera_model for {color.name}", CalibrationError):
                 calibration = {name: value for name, value in {**table, **entry}.items() if name in _CALIBRATION}
-                key = json.dumps(calibration)
+                key = dumps(calibration)
                 view = views[key] = views.get(key) or _nerfstudio_view(found, calibration, sizes, units_per_m)
         rigid = rigid_of(matrix)
         pose = None if rigid is None else compose(rigid, _GL_FROM_OPTICAL)
