@@ -22,6 +22,8 @@ from players.doctor.depth_color_alignment import BorderScores, ColorAlignment, b
 from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth_bias, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
+from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
+from players.doctor.motion_mends import ANYWAY, DepthUnit, depth_unit_of, link_of, mend_of
 from players.doctor.stream_stats import StreamStats, nearest_ms
 from players.logs.containers import Log
 from players.logs.layouts.folder import FolderSource
@@ -71,6 +73,8 @@ class Diagnosis:
     live: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    #: Lines of a profile that mend what was found.
+    fixes: dict[str, Any] = field(default_factory=dict)
     refusal: str | None = None
 
     @property
@@ -197,9 +201,13 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     lights: list[Brightness] = []
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
+    # An odometry's poses come from the images themselves.
+    motions = None if isinstance(source, OdometrySource) else MotionSampler(every=max(1, expected // STEPS))
     started_s = time.perf_counter()
     for raw in source.frames():
         num_frames += 1
+        if motions is not None:
+            motions.add(raw)
         jumps += raw.after_from_before is not None
         first_ns, last_ns = first_ns or raw.stamp_ns, raw.stamp_ns
         if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
@@ -226,6 +234,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
     agreement = color_alignment(borders)
+    motion = motions.agreement(link_of(source)) if motions is not None else None
     noise, bias, light = depth_noise(patches), depth_bias(patches), median_brightness(lights)
     found.frames = {
         "frames": num_frames,
@@ -234,6 +243,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
         "depth_noise": {"ratio": round(noise.ratio_to(sensor), 3), **asdict(noise)} if noise is not None else None,
         "depth_bias": {"is_off": bias.is_off, **asdict(bias)} if bias is not None else None,
+        "motion": asdict(motion) if motion is not None else None,
         "sensor": asdict(sensor),
         "light": asdict(light) if light is not None else None,
         "size": [camera.width, camera.height],
@@ -250,10 +260,12 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
     _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
+    judge_motion(found, motion, depth_unit_of(played))
     judge_color(found, agreement)
-    judge_depth(found, noise, bias, sensor)
+    if motion is None or not motion.is_worthless:
+        judge_depth(found, noise, bias, sensor)
+        found.notes += gravity_notes(floors)
     judge_brightness(found, light)
-    found.notes += gravity_notes(floors)
     if isinstance(played, LogSource):
         setup = played.setup
         topics = (setup.topics.color, setup.topics.depth)
@@ -312,6 +324,18 @@ def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[
             f"{name} stops {abs(early_s):.1f} s before {other} does: what comes then cannot be mapped; see why the "
             "camera stopped"
         )
+
+
+def judge_motion(found: Diagnosis, motion: MotionAgreement | None, depth: DepthUnit = DepthUnit()) -> None:  # noqa: B008
+    """Report poses that do not move as the images do; without use, `play` refuses them."""
+    if motion is None:
+        return
+    reasons, fixes = mend_of(motion, depth)
+    found.fixes |= fixes
+    if motion.is_worthless and reasons:
+        found.refusal = "; ".join(reasons) + f". {ANYWAY}"
+    else:
+        found.problems += reasons
 
 
 def judge_color(found: Diagnosis, agreement: ColorAlignment | None) -> None:

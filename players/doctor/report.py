@@ -43,7 +43,7 @@ def diagnosis_text(found: Diagnosis) -> str:
         lines[-1] += f"median {found.sync['median_ms']} ms, 95 % within {found.sync['p95_ms']} ms"
         lines += _histogram_lines(found.sync["histogram"])
     if found.frames:
-        lines += ["", _frames_line(found.frames), _depth_line(found.frames)]
+        lines += ["", _frames_line(found.frames), _depth_line(found.frames), _motion_line(found.frames["motion"])]
         lines.append(
             f"mapping should take about {found.estimate['map_s']:.0f} s and {found.estimate['memory_mb']:.0f} MB "
             "(two cores, no GPU)"
@@ -143,6 +143,17 @@ def _depth_line(frames: dict[str, Any]) -> str:
     if bias is None:
         return f"{line}; too little floor for a bias"
     return f"{line}; bias {1e3 * bias['bias_m']:+.0f} +- {1e3 * bias['error_m']:.0f} mm"
+
+
+def _motion_line(motion: dict[str, Any] | None) -> str:
+    if motion is None:
+        return "poses and images: too little moves to compare them"
+    line = f"poses and images: agree on {motion['share']:.0%} of {motion['num_moving']} motions"
+    if motion["scale"] is not None:
+        line += f"; scale of depth {motion['scale']:.3g} +- {motion['scale'] * motion['scale_error']:.2g}"
+    if motion["lag_s"] is not None:
+        line += f"; poses late by {1e3 * motion['lag_s']:+.0f} +- {1e3 * motion['lag_error_s']:.0f} ms"
+    return line
 
 
 def _color_text(agreement: dict[str, Any] | None) -> str:
