@@ -5,6 +5,7 @@ One pass covers every message, for stamps and damage; another plays like `play` 
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,9 @@ from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, motion
 from hickory_stream.ports import Source
 from hickory_stream.poses.hand_eye import NoHandEye
+from players.doctor.depth_bias import DepthBias, ViewSampler, depth_bias
 from players.doctor.depth_color_alignment import BorderScores, ColorAlignment, border_scores, color_alignment
-from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth_bias, depth_noise, flat_patches
+from players.doctor.depth_noise import DepthNoise, FlatPatches, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
@@ -197,7 +199,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     due, first_ns, last_ns = 0.0, 0, 0
     invalid: list[float] = []
     borders: list[BorderScores] = []
-    patches: list[FlatPatches] = []
+    patches, views, wanted = list[FlatPatches](), list[FlatPatches](), ViewSampler(expected)
     lights: list[Brightness] = []
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
@@ -216,7 +218,11 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
             if last is not None and raw.after_from_before is None:
                 due += _keyframes_due(last, keyframe, config.keyframes)
             last = keyframe
-        if raw.index % step == 0 and len(invalid) < 2 * _SAMPLES:
+        is_sample, is_view = raw.index % step == 0 and len(invalid) < 2 * _SAMPLES, wanted.wants(raw)
+        if is_view:
+            with suppress(RecordingError):
+                views.append(flat_patches(raw.decode()))
+        if is_sample:
             try:
                 frame = raw.decode()
                 invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
@@ -235,7 +241,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     camera = source.info.camera
     agreement = color_alignment(borders)
     motion = motions.agreement(link_of(source)) if motions is not None else None
-    noise, bias, light = depth_noise(patches), depth_bias(patches), median_brightness(lights)
+    noise, bias, light = depth_noise(patches), depth_bias(views), median_brightness(lights)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
@@ -354,13 +360,15 @@ def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | No
     if bias is not None and bias.is_off:
         long = "long" if bias.bias_m > 0 else "short"
         found.problems.append(
-            f"depth is {1e3 * abs(bias.bias_m):.0f} mm too {long} at every distance: {bias.num_frames} floors are "
-            f"straight without it; map with --set mapper.sensor.bias_m={sensor.bias_m + bias.bias_m:.3f}, or put "
-            f"bias_m under [sensor] in a profile"
+            f"depth is {1e3 * abs(bias.bias_m):.0f} +- {3e3 * bias.error_m:.0f} mm too {long} at every distance: "
+            f"{bias.num_frames} views agree best without it; map with --set "
+            f"mapper.sensor.bias_m={sensor.bias_m + bias.bias_m:.3f}, or put bias_m under [sensor] in a profile"
         )
+        found.fixes["sensor"] = {"bias_m": round(sensor.bias_m + bias.bias_m, 3)}
     if noise is not None and noise.is_other_than(sensor):
+        ratio = noise.ratio_to(sensor)
         found.notes.append(
-            f"depth has {noise.ratio_to(sensor):.1f} times the noise of the sensor's model; map with "
+            f"depth has {ratio:.2g} +- {3 * noise.error * ratio:.1g} times the noise of the sensor's model; map with "
             f"--set mapper.sensor.noise_per_m={noise.noise_per_m:.4f} --set mapper.sensor.noise_m={noise.noise_m:.4f}, "
             f"or put them under [sensor] in a profile"
         )

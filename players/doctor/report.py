@@ -138,11 +138,11 @@ def _depth_line(frames: dict[str, Any]) -> str:
         constant = f" + {1e3 * noise['noise_m']:.1f} mm" * (noise["noise_m"] >= 5e-5)
         line = (
             f"depth: noise {noise['noise_per_m']:.4f} z2{constant} on {noise['num_patches']} flat patches from "
-            f"{noise['near_m']:.1f} to {noise['far_m']:.1f} m, taken for {believed}"
+            f"{noise['near_m']:.1f} to {noise['far_m']:.1f} m (+- {3 * noise['error']:.0%}), taken for {believed}"
         )
     if bias is None:
-        return f"{line}; too little floor for a bias"
-    return f"{line}; bias {1e3 * bias['bias_m']:+.0f} +- {1e3 * bias['error_m']:.0f} mm"
+        return f"{line}; too few views of the same surfaces for a bias"
+    return f"{line}; bias {1e3 * bias['bias_m']:+.0f} +- {3e3 * bias['error_m']:.0f} mm"
 
 
 def _motion_line(motion: dict[str, Any] | None) -> str:
