@@ -20,7 +20,14 @@ from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_
 from hickory_stream.ports import Source
 from hickory_stream.poses.hand_eye import NoHandEye
 from players.doctor.depth_bias import DepthBias, ViewSampler, depth_bias
-from players.doctor.depth_color_alignment import BorderScores, ColorAlignment, border_scores, color_alignment
+from players.doctor.depth_color_alignment import (
+    BorderScores,
+    ColorAlignment,
+    ColorLag,
+    border_scores,
+    color_alignment,
+    color_lag,
+)
 from players.doctor.depth_noise import DepthNoise, FlatPatches, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
@@ -45,6 +52,7 @@ _ENDS_S, _OWN_CLOCK_S = 2.0, 1e9
 _SAMPLES = 12
 # A frame with a larger share of missing depth is not examined for a floor.
 _NO_DEPTH = 0.9
+_OTHER_M, _OTHER_RAD = 0.4, 0.26
 _KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
 _BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
 """Time and memory of `play` on two shared cores without a GPU, for a rough estimate."""
@@ -199,6 +207,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     due, first_ns, last_ns = 0.0, 0, 0
     invalid: list[float] = []
     borders: list[BorderScores] = []
+    seen_from: list[NDArray[np.float64]] = []
     patches, views, wanted = list[FlatPatches](), list[FlatPatches](), ViewSampler(expected)
     lights: list[Brightness] = []
     floors: list[SeenFloor] = []
@@ -231,8 +240,14 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 lights.append(brightness_of(frame.rgb))
                 if invalid[-1] < _NO_DEPTH:
                     floors.append(floor_in(frame))
-                if (scores := border_scores(frame)) is not None:
+                # The same edges are one witness, however often they are seen.
+                is_other = all(
+                    moved_m > _OTHER_M or turned_rad > _OTHER_RAD
+                    for moved_m, turned_rad in (motion(pose, frame.world_from_camera) for pose in seen_from)
+                )
+                if is_other and (scores := border_scores(frame)) is not None:
                     borders.append(scores)
+                    seen_from.append(frame.world_from_camera)
             except RecordingError as error:
                 num_torn += 1
                 found.notes.append(str(error))
@@ -240,7 +255,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
     agreement = color_alignment(borders)
-    motion = motions.agreement(link_of(source)) if motions is not None else None
+    agreed = motions.agreement(link_of(source)) if motions is not None else None
+    lag = color_lag(motions.lag_scores) if motions is not None else None
     noise, bias, light = depth_noise(patches), depth_bias(views), median_brightness(lights)
     found.frames = {
         "frames": num_frames,
@@ -249,7 +265,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
         "depth_noise": {"ratio": round(noise.ratio_to(sensor), 3), **asdict(noise)} if noise is not None else None,
         "depth_bias": {"is_off": bias.is_off, **asdict(bias)} if bias is not None else None,
-        "motion": asdict(motion) if motion is not None else None,
+        "motion": asdict(agreed) if agreed is not None else None,
+        "color_lag": {"is_off": lag.is_off, **asdict(lag)} if lag is not None else None,
         "sensor": asdict(sensor),
         "light": asdict(light) if light is not None else None,
         "size": [camera.width, camera.height],
@@ -266,9 +283,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
     _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
-    judge_motion(found, motion, depth_unit_of(played))
-    judge_color(found, agreement)
-    if motion is None or not motion.is_worthless:
+    judge_motion(found, agreed, depth_unit_of(played))
+    judge_color(found, agreement, lag)
+    if agreed is None or not agreed.is_worthless:
         judge_depth(found, noise, bias, sensor)
         found.notes += gravity_notes(floors)
     judge_brightness(found, light)
@@ -344,8 +361,16 @@ def judge_motion(found: Diagnosis, motion: MotionAgreement | None, depth: DepthU
         found.problems += reasons
 
 
-def judge_color(found: Diagnosis, agreement: ColorAlignment | None) -> None:
-    """Report a wrong registration of colour and depth."""
+def judge_color(found: Diagnosis, agreement: ColorAlignment | None, lag: ColorLag | None = None) -> None:
+    """Report a wrong registration of colour and depth, by their times or by the calibration."""
+    if lag is not None and lag.is_off:
+        late, offset_ms = "late" if lag.lag_s > 0 else "early", round(-1e3 * lag.lag_s)
+        found.problems.append(
+            f"depth is stamped {abs(lag.lag_s):.2f} +- {lag.error_s:.2f} s too {late} for colour: without it, they lie "
+            f"on each other while the camera moves; put depth_offset_ms = {offset_ms} under [time] of a profile"
+        )
+        found.fixes["time"] = {**found.fixes.get("time", {}), "depth_offset_ms": offset_ms}
+        return
     if agreement is None or not agreement.is_off:
         return
     x_mm, y_mm = (1e3 * value for value in agreement.offset_m)

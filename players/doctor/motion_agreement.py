@@ -7,7 +7,8 @@ the units of the depth and in the axes of the image. Each fault is a hypothesis 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import compose, invert, rotation_of_vector, rotation_vector
 from hickory_stream.poses.hand_eye import FLU_FROM_OPTICAL
+from players.doctor.depth_color_alignment import lag_scores
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -38,7 +40,7 @@ STEPS = 24
 _MOVES_M, _MOVES_RAD, _OFF_M, _OFF_RAD, _OFF_SHARE, _LEVER_M = 0.02, 0.02, 0.01, 0.01, 0.3, 0.1
 _LEAST_MOVING, _LEAST_TRANSLATIONS = 6, 5
 # Shares of the steps that a hypothesis explains: it holds, and it fails.
-_HOLDS, _FAILS, _BETTER = 0.75, 0.4, 0.3
+_HOLDS, _SURE, _FAILS, _BETTER = 0.75, 0.9, 0.4, 0.3
 _COARSE_NS, _STEP_OF_LAG_NS = np.arange(-80, 81) * 50e6, 5e6
 _FINE_NS, _MOST_SPREAD_NS = np.arange(-40, 41) * _STEP_OF_LAG_NS, 1e8
 _LAG_S, _MOST_LAG_S, _RESAMPLES = 0.03, 0.1, 40
@@ -145,6 +147,8 @@ class MotionSampler:
     #: Frames from one step to the next; it doubles where the log is longer than expected.
     every: int = 1
     steps: list[CameraStep] = field(default_factory=list)
+    #: Of the steps in which edges move: where depth lies on colour.
+    lag_scores: list[NDArray[np.float64]] = field(default_factory=list)
     stamps_ns: list[int] = field(default_factory=list)
     poses: list[Matrix] = field(default_factory=list)
     _begun: RawFrame | None = None
@@ -173,11 +177,13 @@ class MotionSampler:
         is_far = np.linalg.norm(motion[:3, 3]) > _STEP_M or np.linalg.norm(rotation_vector(motion[:3, :3])) > _STEP_RAD
         if not is_far and raw.stamp_ns - self._begun.stamp_ns < _STEP_NS:
             return
-        try:
-            step = step_between(self._begun.decode(), raw.decode())
-        except (RecordingError, cv2.error):
-            step = None
-        self.steps += [step] if step is not None else []
+        with suppress(RecordingError, cv2.error):
+            before = self._begun.decode()
+            if (step := step_between(before, raw.decode())) is not None:
+                self.steps.append(replace(step, start_ns=self._begun.stamp_ns, end_ns=raw.stamp_ns))
+                seconds = (raw.stamp_ns - self._begun.stamp_ns) / 1e9
+                scores = lag_scores(before, step.before_from_after, seconds)
+                self.lag_scores += [scores] if scores is not None else []
         if len(self.steps) > 2 * STEPS:
             self.steps, self.every = self.steps[::2], 2 * self.every
         self._next = max(number, self._next + self.every)
@@ -246,21 +252,29 @@ def _trials(seen: _Seen, track: _Track, link: Matrix | None) -> Iterator[tuple[P
     for body_from_camera in (np.eye(4), *([] if link is None else [link])):
         camera_from_body = invert(body_from_camera)
         inverted = [body_from_camera @ invert(pose) @ body_from_camera for pose in track.poses]
-        once = [_root(pose @ camera_from_body) @ body_from_camera for pose in track.poses]
+        once = _roots(track.poses @ camera_from_body) @ body_from_camera
         for name, poses in (("inverted", inverted), ("applied twice", once)):
             other = _Track(track.stamps_ns, np.array(poses))
             yield name, seen.fit(other), other  # type: ignore[misc]
-    late = [(seen.fit(track, lag_ns, axes)) for lag_ns in _COARSE_NS for axes in _AXES]
-    enough = [fit for fit in late if fit.num_moving >= 2 * _LEAST_MOVING]
-    if enough:
-        yield "sound", max(enough, key=lambda fit: fit.share), track
+    late = [seen.fit(track, lag_ns, axes) for lag_ns in _COARSE_NS[20:-20] for axes in _AXES]
+    # Of so many hypotheses one may fit by chance.
+    sure = [
+        fit for fit in late if fit.share >= _SURE and fit.num_moving >= max(2 * _LEAST_MOVING, len(seen.units) // 2)
+    ]
+    if sure:
+        yield "sound", max(sure, key=lambda fit: fit.share), track
 
 
-def _root(pose: Matrix) -> Matrix:
-    root = np.eye(4)
-    root[:3, :3] = rotation_of_vector(0.5 * rotation_vector(pose[:3, :3]))
-    root[:3, 3] = np.linalg.solve(np.eye(3) + root[:3, :3], pose[:3, 3])
-    return root
+def _roots(poses: Matrix) -> Matrix:
+    # The poses whose squares these are; of the two turns that have the same square, the one that continues.
+    roots = np.tile(np.eye(4), (len(poses), 1, 1))
+    for i, pose in enumerate(poses):
+        half = 0.5 * rotation_vector(pose[:3, :3])
+        other = half * (1 - np.pi / max(float(np.linalg.norm(half)), 1e-9))
+        turns = [rotation_of_vector(half), rotation_of_vector(other)]
+        turn = max(turns, key=lambda one: np.trace(one @ roots[max(i - 1, 0), :3, :3].T))
+        roots[i, :3, :3], roots[i, :3, 3] = turn, np.linalg.pinv(np.eye(3) + turn) @ pose[:3, 3]
+    return roots
 
 
 def _moves(motion: Matrix, unit_m: float) -> bool:
