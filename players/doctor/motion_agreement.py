@@ -102,7 +102,12 @@ class MotionAgreement:
 
 
 def step_between(before: Frame, after: Frame) -> CameraStep | None:
-    """Return the motion of the camera between two frames; None without enough corners that have a depth."""
+    """Return the motion of the camera between two frames; None without enough corners that have a depth.
+
+    An image that is repeated shows no motion, whatever the camera did.
+    """
+    if np.array_equal(before.rgb, after.rgb):
+        return None
     old, new = (cv2.cvtColor(np.ascontiguousarray(frame.rgb), cv2.COLOR_RGB2GRAY) for frame in (before, after))
     corners = cv2.goodFeaturesToTrack(old, _CORNERS, 0.01, _APART_PX)
     if corners is None or len(corners) < _LEAST_CORNERS:
