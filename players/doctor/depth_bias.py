@@ -24,7 +24,7 @@ _LEVEL, _ACROSS_M, _ALONG_M = 0.97, 0.2, 0.4
 _FLAT_M, _INDEPENDENT, _POSE_M, _POSE_RAD = 0.004, 10.0, 0.01, 0.005
 # No estimate is better than this. Few frames make it worse, and so does this share of the bias that doubles what is
 # left of the disagreement: a real camera has faults that no view shows.
-_LEAST_ERROR_M, _UNKNOWN_SHARE = 0.004, 0.15
+_LEAST_ERROR_M, _UNKNOWN_SHARE, _CLEAR_M = 0.004, 0.15, 0.08
 # Views for an estimate: bursts of frames at this distance in time, which begin at quarters of a log.
 _BURSTS, _BURST, _MOST_VIEWS, _APART_NS, _SHARE_APART = 4, 6, 30, 350_000_000, 12
 
@@ -69,7 +69,9 @@ def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
         return None
     number = len(left_out)
     spread_m = float(np.sqrt((number - 1) * np.var(np.array(left_out, dtype=np.float64)))) * (1 + 3 / number)
-    error_m = float(np.linalg.norm([spread_m, _UNKNOWN_SHARE * doubling_m, _LEAST_ERROR_M]))
+    error_m = float(
+        np.linalg.norm([spread_m, _UNKNOWN_SHARE * doubling_m * max(1.0, doubling_m / _CLEAR_M), _LEAST_ERROR_M])
+    )
     return DepthBias(bias_m=bias_m, error_m=error_m, num_frames=len(used))
 
 
