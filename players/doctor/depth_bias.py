@@ -16,9 +16,9 @@ from hickory_stream.records import RawFrame
 from players.doctor.depth_noise import FlatPatches
 
 # A smaller bias cannot be distinguished from the effect of lens distortion.
-_OFF_M, _OFF_SIGMAS = 0.02, 3.0
+_OFF_M, _OFF_SIGMAS, _LEAST_GAIN = 0.02, 3.0, 1.15
 _MOST_M, _STEP_M = 0.2, 0.02
-_MIN_FRAMES, _MIN_PAIRS, _MIN_COMMON, _MOST_COMMON, _NEXT = 4, 8, 12, 40, 4
+_MIN_FRAMES, _MIN_PAIRS, _MIN_COMMON, _MOST_COMMON, _NEXT, _PARTS = 4, 8, 12, 40, 4, 6
 # Patches are of one plane whose normals differ by less than this cosine, and whose places differ by less across it.
 _LEVEL, _ACROSS_M, _ALONG_M = 0.97, 0.2, 0.4
 _FLAT_M, _INDEPENDENT, _POSE_M, _POSE_RAD = 0.004, 10.0, 0.01, 0.005
@@ -38,11 +38,14 @@ class DepthBias:
     bias_m: float
     error_m: float
     num_frames: int
+    #: Disagreement of the views with the bias, over the one without it.
+    gain: float = np.inf
 
     @property
     def is_off(self) -> bool:
         """Whether the depth error certainly exceeds the uncertainty of its estimate."""
-        return abs(self.bias_m) >= _OFF_M and abs(self.bias_m) >= _OFF_SIGMAS * self.error_m
+        is_certain = self.gain >= _LEAST_GAIN and abs(self.bias_m) >= _OFF_M
+        return is_certain and abs(self.bias_m) >= _OFF_SIGMAS * self.error_m
 
 
 def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
@@ -61,10 +64,11 @@ def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
     if len(pairs) < _MIN_PAIRS or len(used) < _MIN_FRAMES:
         return None
     each = np.array(costs)
-    bias_m, doubling_m = _least(grid, each.sum(axis=0))
-    left_out = [
-        _least(grid, each[(ends != i).all(axis=1)].sum(axis=0))[0] for i in used if (ends != i).all(axis=1).any()
-    ]
+    total = each.sum(axis=0)
+    bias_m, doubling_m = _least(grid, total)
+    # Neighbours err alike: they are left out together.
+    parts = [~np.isin(ends, part).any(axis=1) for part in np.array_split(used, min(_PARTS, len(used)))]
+    left_out = [_least(grid, each[kept].sum(axis=0))[0] for kept in parts if kept.any()]
     if bias_m is None or any(one is None for one in left_out) or len(left_out) < _MIN_FRAMES:
         return None
     number = len(left_out)
@@ -72,7 +76,8 @@ def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
     error_m = float(
         np.linalg.norm([spread_m, _UNKNOWN_SHARE * doubling_m * max(1.0, doubling_m / _CLEAR_M), _LEAST_ERROR_M])
     )
-    return DepthBias(bias_m=bias_m, error_m=error_m, num_frames=len(used))
+    gain = round(float(total[len(grid) // 2] / max(total.min(), 1e-9)), 3)
+    return DepthBias(bias_m=bias_m, error_m=error_m, num_frames=len(used), gain=gain)
 
 
 class ViewSampler:

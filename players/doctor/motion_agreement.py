@@ -7,29 +7,24 @@ the units of the depth and in the axes of the image. Each fault is a hypothesis 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import permutations, product
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import compose, invert, rotation_of_vector, rotation_vector
 from hickory_stream.poses.hand_eye import FLU_FROM_OPTICAL
+from hickory_stream.records import Frame, RawFrame
 from players.doctor.depth_color_alignment import lag_scores
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame, RawFrame
-
-    Matrix = NDArray[np.float64]
-
+Matrix = NDArray[np.float64]
 Poses = Literal["sound", "inverted", "applied twice", "foreign"]
 
 _CORNERS, _APART_PX, _LEAST_CORNERS, _WINDOW_PX, _BACK_PX = 400, 7, 15, 21, 0.5
@@ -261,7 +256,7 @@ def _trials(seen: _Seen, track: _Track, link: Matrix | None) -> Iterator[tuple[P
         for name, poses in (("inverted", inverted), ("applied twice", once)):
             other = _Track(track.stamps_ns, np.array(poses))
             yield name, seen.fit(other), other  # type: ignore[misc]
-    late = [seen.fit(track, lag_ns, axes) for lag_ns in _COARSE_NS[20:-20] for axes in _AXES]
+    late = [seen.fit(track, lag_ns, axes) for lag_ns in _COARSE_NS[20:-20:2] for axes in _AXES[:24]]
     # Of so many hypotheses one may fit by chance.
     sure = [
         fit for fit in late if fit.share >= _SURE and fit.num_moving >= max(2 * _LEAST_MOVING, len(seen.units) // 2)
@@ -288,16 +283,24 @@ def _moves(motion: Matrix, unit_m: float) -> bool:
     return turned > _MOVES_RAD or float(np.linalg.norm(motion[:3, 3])) > _MOVES_M * unit_m
 
 
+_Motions = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
+
+
 class _Track:
-    # Poses of frames, interpolated.
+    # Poses of frames, interpolated, and their motions by the lag.
 
     def __init__(self, stamps_ns: NDArray[np.int64], poses: Matrix) -> None:
-        self.stamps_ns, self.poses = stamps_ns, poses
+        self.stamps_ns, self.poses, self._motions = stamps_ns, poses, dict[float, _Motions]()
         self._times = (stamps_ns - stamps_ns[0]).astype(np.float64)
         self._turns = Slerp(self._times, Rotation.from_matrix(poses[:, :3, :3]))
 
-    def motions(self, ends_ns: NDArray[np.int64], lag_ns: float) -> tuple[Matrix, Matrix, NDArray[np.bool_]]:
+    def motions(self, ends_ns: NDArray[np.int64], lag_ns: float) -> _Motions:
         # Turns and shifts (N, 3) between ends (2, N) by the poses of `lag_ns` later, and which of them are known.
+        if lag_ns not in self._motions:
+            self._motions[lag_ns] = self._motions_at(ends_ns, lag_ns)
+        return self._motions[lag_ns]
+
+    def _motions_at(self, ends_ns: NDArray[np.int64], lag_ns: float) -> _Motions:
         times = ends_ns - self.stamps_ns[0] + lag_ns
         known = (times >= 0) & (times <= self._times[-1])
         after = np.clip(np.searchsorted(self._times, times), 1, len(self._times) - 1)
