@@ -27,8 +27,6 @@ _UNITS = {
     1.0: "metres", 100.0: "centimetres", 1000.0: "millimetres", 2000.0: "0.5 mm", 4000.0: "0.25 mm", 5000.0: "0.2 mm",
     8000.0: "0.125 mm", 10000.0: "0.1 mm", 1000 / 304.8: "feet", 1000 / 25.4: "inches",
 }  # fmt: skip
-# Integers of a coarser unit are rounded so much that they show their scale roughly, and nothing else.
-_COARSE_PER_M = 50.0
 # Usual distances; where those by the poses' unit are not, the poses are in another unit.
 _USUAL_M = (0.15, 30.0)
 
@@ -125,12 +123,9 @@ def _scale_mend(motion: MotionAgreement, depth: DepthUnit) -> tuple[str, dict[st
     if low_m < motion.depth_m < high_m and not low_m < motion.depth_m / scale < high_m:
         return f"poses are in another unit: depth is {times}, but usual by itself; record them in metres", {}
     right = depth.units_per_m * scale
-    is_coarse = depth.key == "depth_units_per_m" and right < _COARSE_PER_M
-    named = [unit for unit in _UNITS if abs(np.log(unit / right)) < (0.3 if is_coarse else max(error, 0.1))]
+    named = [unit for unit in _UNITS if abs(np.log(unit / right)) < max(error, 0.1)]
     if named:
         right = min(named, key=lambda unit: abs(np.log(unit / right)))
-    if is_coarse and named:
-        return f"depth is {times}: it is in whole {_UNITS[right]}, too coarse for a map; record millimetres", {}
     unit = f": it is in {_UNITS[right]}" if named else ""
     value = float(f"{right if depth.key == 'depth_units_per_m' else depth.units_per_m / right:.6g}")
     return f"depth is {times}{unit}; put {depth.key} = {value:g} into a profile", {depth.key: value}

@@ -139,7 +139,7 @@ def test_a_sound_cut_is_sound_and_its_intervals_hold(tmp_path, start, seconds):
     [
         (unit(10), "9.\\d+ \\+- 0.6 times too far .* 0.1 mm", {"depth_units_per_m": 10000.0}),
         (unit(4), "times too far .* 0.25 mm", {"depth_units_per_m": 4000.0}),
-        (unit(0.001), "times too near .* in whole metres", {}),
+        (unit(0.1), "times too near .* in centimetres", {"depth_units_per_m": 100.0}),
         (in_frame("zed_left_camera_frame"), "a body's axes", {"camera_axes": "-y -z x"}),
         (stamped(-0.5, "/tf", ODOM), "0.5\\d* \\+- 0.0\\d+ s too early", {"time": {"pose_offset_ms": 500}}),
         (stamped(0.3, "/tf", ODOM), "too late for the images", {"time": {"pose_offset_ms": -300}}),
