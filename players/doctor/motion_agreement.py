@@ -27,7 +27,7 @@ from players.doctor.depth_color_alignment import lag_scores
 Matrix = NDArray[np.float64]
 Poses = Literal["sound", "inverted", "applied twice", "foreign"]
 
-_CORNERS, _APART_PX, _LEAST_CORNERS, _WINDOW_PX, _BACK_PX = 400, 7, 15, 21, 0.5
+_CORNERS, _APART_PX, _LEAST_CORNERS, _WINDOW_PX, _BACK_PX, _SAME_DEPTH = 400, 7, 15, 21, 0.5, 0.05
 # A step ends with this motion by the poses, or after this time: the poses may be wrong.
 _STEP_M, _STEP_RAD, _STEP_NS, _LOST_NS = 0.06, 0.05, 400_000_000, 1_000_000_000
 STEPS = 24
@@ -93,7 +93,8 @@ class MotionAgreement:
     def is_worthless(self) -> bool:
         """Whether a map with these poses and depths would be worthless."""
         is_late = self.has_lag and abs(self.lag_s or 0.0) > _MOST_LAG_S
-        return self.poses != "sound" or self.axes != "x y z" or self.has_other_scale or is_late
+        # Foreign poses are only suspected: a robot that is carried, or images that repeat themselves, look alike.
+        return self.poses not in ("sound", "foreign") or self.axes != "x y z" or self.has_other_scale or is_late
 
 
 def step_between(before: Frame, after: Frame) -> CameraStep | None:
@@ -135,6 +136,13 @@ def step_between(before: Frame, after: Frame) -> CameraStep | None:
     turn, shift = cv2.solvePnPRefineLM(points[chosen[:, 0]], there[chosen[:, 0]], matrix, None, turn, shift)
     after_from_before = np.eye(4)
     after_from_before[:3, :3], after_from_before[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0] * unit
+    # The depth of the second image is a witness that the motion did not come from.
+    columns, rows = np.rint(there[chosen[:, 0]]).astype(np.int64).T
+    seen = after.depth_m[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+    expected = unit * (points[chosen[:, 0]] @ after_from_before[2, :3]) + after_from_before[2, 3]
+    is_seen = np.isfinite(seen) & (seen > 0)
+    if is_seen.sum() < _LEAST_CORNERS or np.median(np.abs(seen[is_seen] / expected[is_seen] - 1)) > _SAME_DEPTH:
+        return None
     return CameraStep(
         start_ns=before.stamp_ns, end_ns=after.stamp_ns, before_from_after=invert(after_from_before), depth_m=unit
     )

@@ -116,7 +116,7 @@ def _scale(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[
     factor = float(rng.choice([10.0, 4.0, 0.001, 0.2, 1 / 0.3048]))
 
     def is_found(verdict: Diagnosis) -> bool:
-        return np.isclose(verdict.fixes.get("depth_units_per_m", 0), 1000 * factor, rtol=0.02)
+        return np.isclose(verdict.fixes.get("depth_units_per_m", 0), 1000 * factor, rtol=0.06)
 
     return [replace(f, depth_m=f.depth_m * np.float32(factor)) for f in frames], is_found
 
@@ -170,7 +170,7 @@ def _foreign(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable
     poses = [
         from_rotation_translation(turn, place) for turn, place in zip(turns, np.cumsum(steps, axis=0), strict=True)
     ]
-    return _posed(frames, poses), lambda verdict: "another robot" in (verdict.refusal or "")
+    return _posed(frames, poses), lambda verdict: any("another robot" in text for text in verdict.problems)
 
 
 def _inverted(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[Diagnosis], bool]]:
