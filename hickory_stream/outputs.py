@@ -132,6 +132,7 @@ class Diagnosis(TypedDict):
     live: dict[str, Any]
     problems: list[str]
     notes: list[str]
+    fixes: dict[str, Any]
     refusal: str | None
 
 

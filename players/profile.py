@@ -3,6 +3,7 @@
 A profile names topics, links between body and camera, and tolerances. Topics identify it, or `--profile`.
 """
 
+import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,7 @@ from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
+from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, rotation_from_quaternion
 from players.logs.containers import Topic
 from players.options import MAX_GAP_NS
 from players.poses.interpolation import nearest_rigid
@@ -27,6 +28,10 @@ from players.poses.tracks import JumpLimits
 _TOLERANCE = Range(low=0.001, high=MAX_GAP_NS / 1e6, unit="ms")
 _OFFSET = Range(low=-1000, high=1000, unit="m")
 _COMPONENT = Range(low=-2, high=2, unit="for a component")
+
+# Larger offsets are those of a clock that was not set.
+_OFFSET_MS = Range(low=-60_000, high=60_000, unit="ms")
+_SCALE = Range(low=1e-5, high=1e5, unit="m per unit as read")
 
 _FOLDER = Path(__file__).parent / "profiles"
 _ROLES = ("color", "depth", "color_info", "depth_info", "pose")
@@ -69,6 +74,29 @@ class Intrinsics(Ranged):
             return self
         width, height = min(sizes, key=lambda s: abs((self.cx + 0.5) / s[0] - 0.5) + abs((self.cy + 0.5) / s[1] - 0.5))
         return replace(self, width=width, height=height)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Corrections:
+    """Mends of faults of a log: `doctor --fix` writes them."""
+
+    #: Depth as read, times this, is in metres.
+    depth_scale: float = 1.0
+    #: (3, 3) the image's right, down and forward as columns in the frame that the log names; None is right already.
+    frame_from_optical: NDArray[np.float64] | None = None
+    #: Added to the stamps of the poses, and of the depth images.
+    pose_offset_ns: int = 0
+    depth_offset_ns: int = 0
+
+    def turned(self, world_from_frame: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return `world_from_camera` (4, 4) of the pose of the frame that the log names."""
+        if self.frame_from_optical is None:
+            return world_from_frame
+        return compose(world_from_frame, from_rotation_translation(self.frame_from_optical, np.zeros(3)))
+
+    def between(self, color_from_depth: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the link (4, 4) between the cameras of two such frames."""
+        return invert(self.turned(invert(self.turned(color_from_depth))))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -115,6 +143,7 @@ class Profile(Ranged):
     sync_tolerance_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
     max_pose_gap_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
     jump_limits: JumpLimits = field(default_factory=JumpLimits)
+    corrections: Corrections = field(default_factory=Corrections)
     pose_file: PoseColumns | None = None
     #: Values of `{robot}` and other placeholders.
     parameters: Mapping[str, str] = field(default_factory=dict)
@@ -134,7 +163,7 @@ def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | N
     built_in = _FOLDER / f"{name_or_path}.toml"
     path = built_in if built_in.is_file() else Path(name_or_path)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = _table_of(path)
         parameters = _match(table, topics) or {}
         if robot is not None:
             parameters["robot"] = robot
@@ -146,6 +175,40 @@ def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | N
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         detail = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise CalibrationError(f"profile {path}: {detail}; compare it with {_FOLDER.name}/seven_scenes.toml") from error
+
+
+def _table_of(path: Path) -> dict[str, Any]:
+    # The tables of a profile complete those of its `base`.
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    if "base" not in table:
+        return table
+    name = table.pop("base")
+    if name not in profile_names():
+        raise ValueError(f"base {name!r}; expected one of {', '.join(profile_names())}")
+    base = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    return {**base, **{k: {**base[k], **v} if isinstance(v, dict) and k in base else v for k, v in table.items()}}
+
+
+def mended_profile(base: str, fixes: Mapping[str, Any]) -> str:
+    """Return a profile as TOML: that of a name or file, with some lines of its own and of its tables replaced."""
+    table: dict[str, Any] = (
+        {"base": base} if base in profile_names() else _table_of(Path(base)) if Path(base).is_file() else {}
+    )
+    merged = {**table, **{k: {**table.get(k, {}), **v} if isinstance(v, dict) else v for k, v in fixes.items()}}
+    plain = [f"{key} = {_toml(value)}" for key, value in merged.items() if not isinstance(value, dict)]
+    tables = [line for key, value in merged.items() if isinstance(value, dict) for line in _table_lines(key, value)]
+    return "\n".join([*plain, *tables]) + "\n"
+
+
+def _table_lines(name: str, table: Mapping[str, Any]) -> list[str]:
+    return ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+
+
+def _toml(value: object) -> str:
+    # TOML writes strings, numbers and lists as JSON does, and a table within a line with `=`.
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {_toml(part)}" for key, part in value.items()) + "}"
+    return "[" + ", ".join(map(_toml, value)) + "]" if isinstance(value, list) else json.dumps(value)
 
 
 def profile_names() -> tuple[str, ...]:
@@ -205,6 +268,12 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
         raise TypeError(f"streams: unknown {', '.join(sorted(unknown))}; expected {', '.join(_ROLES)}")
     x, y, z = (float(part) for part in table.pop("color_from_depth_m", (0.0, 0.0, 0.0)))
     columns = table.pop("pose_file", None)
+    corrections = Corrections(
+        depth_scale=_scale(table.pop("depth_scale", 1.0)),
+        frame_from_optical=_axes(table.pop("camera_axes", "x y z")),
+        pose_offset_ns=_ns(time, "pose_offset_ms", _OFFSET_MS) or 0,
+        depth_offset_ns=_ns(time, "depth_offset_ms", _OFFSET_MS) or 0,
+    )
     profile = Profile(
         **table,
         name=name,
@@ -217,6 +286,7 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
         sync_tolerance_ns=_ns(time, "sync_tolerance_ms"),
         max_pose_gap_ns=_ns(time, "max_pose_gap_ms"),
         jump_limits=JumpLimits(**{f.name: float(time.pop(f.name)) for f in fields(JumpLimits) if f.name in time}),
+        corrections=corrections,
         pose_file=PoseColumns(**{**columns, "columns": tuple(columns["columns"])}) if columns else None,
         parameters=parameters,
         patterns=patterns,
@@ -226,11 +296,24 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
     return profile
 
 
-def _ns(time: dict[str, Any], name: str) -> int | None:
+def _scale(value: float) -> float:
+    _SCALE.check("depth_scale", value)
+    return float(value)
+
+
+def _axes(text: str) -> NDArray[np.float64] | None:
+    columns = [np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in text.split()]
+    axes = np.array(columns).T
+    if axes.shape != (3, 3) or not np.linalg.det(axes) > 0.5:
+        raise ValueError(f"camera_axes {text!r}; expected the image's right, down and forward, such as '-y -z x'")
+    return None if np.array_equal(axes, np.eye(3)) else axes
+
+
+def _ns(time: dict[str, Any], name: str, limits: Range = _TOLERANCE) -> int | None:
     # Removes the value from `time`.
     if name not in time:
         return None
-    _TOLERANCE.check(name, time[name])
+    limits.check(name, time[name])
     return round(time.pop(name) * 1e6)
 
 

@@ -1,13 +1,12 @@
-"""Estimates of a log's depth camera: noise on flat surfaces, and a constant bias.
+"""Estimate of the noise of a log's depth camera on flat surfaces.
 
-Noise: the residual of a plane in inverse depth, on patches larger than the windows of stereo matching.
-Bias: a constant added to depth lowers the floor at near points by more than at far ones.
+It is the residual of a plane in inverse depth, on patches larger than the windows of stereo matching.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +20,9 @@ _MIN_PATCHES, _BINS = 40, 6
 _WORST_SHARE = 0.03
 # Expected ratio of residual to noise after fitting three parameters to about twenty independent errors.
 _LEFT = 0.92
-_LEVEL, _LEAST_FALL, _FALL_RATIO, _SAME_FLOOR_M, _MIN_COPLANAR = 0.95, 0.1, 1.5, 0.12, 6
-_MIN_FRAMES = 3
-# A smaller bias cannot be distinguished from the effect of lens distortion and drift on a floor.
-_OFF_M, _OFF_SIGMAS = 0.02, 3.0
-_OTHER_RATIO = 2.0
+_OTHER_RATIO, _SIGMAS = 2.0, 3.0
+# Every third frame makes an estimate of its own; patches are chosen by their flatness, which biases it.
+_PARTS, _LEAST_ERROR = 3, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,6 +34,8 @@ class DepthNoise:
     num_patches: int
     near_m: float
     far_m: float
+    #: Relative standard error of the noise.
+    error: float = 0.0
 
     def sigma_m(self, depth_m: float) -> float:
         """Return the standard deviation at a depth."""
@@ -48,22 +47,9 @@ class DepthNoise:
         return self.sigma_m(middle_m) / float(sensor.sigma_m(np.array([middle_m], dtype=np.float32))[0])
 
     def is_other_than(self, sensor: DepthSensor) -> bool:
-        """Whether the noise differs from that of a sensor model by a factor of two or more, in either direction."""
-        return not 1 / _OTHER_RATIO <= self.ratio_to(sensor) <= _OTHER_RATIO
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DepthBias:
-    """The constant by which depth is too large, its standard error, and the number of frames that showed a floor."""
-
-    bias_m: float
-    error_m: float
-    num_frames: int
-
-    @property
-    def is_off(self) -> bool:
-        """Whether the depth error exceeds the uncertainty of its estimate from the floors."""
-        return abs(self.bias_m) >= _OFF_M and abs(self.bias_m) >= _OFF_SIGMAS * self.error_m
+        """Whether the noise certainly differs from that of a sensor model by a factor of two or more, either way."""
+        margin = _OTHER_RATIO * (1 + _SIGMAS * self.error)
+        return not 1 / margin <= self.ratio_to(sensor) <= margin
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -78,6 +64,10 @@ class FlatPatches:
     normals_world: NDArray[np.float64]
     #: (N, 3) from the camera to the centre, per metre of depth.
     rays_world: NDArray[np.float64]
+    #: (N,) depth of the plane at the centre.
+    reach_m: NDArray[np.float64]
+    #: (3,) the direction of view.
+    forward_world: NDArray[np.float64]
 
 
 def flat_patches(frame: Frame) -> FlatPatches:
@@ -119,14 +109,26 @@ def flat_patches(frame: Frame) -> FlatPatches:
         points_world=origin + reach_m * rays_world,
         normals_world=normals @ rotation.T,
         rays_world=rays_world,
+        reach_m=reach_m[:, 0],
+        forward_world=rotation[:, 2],
     )
 
 
 def depth_noise(frames: Sequence[FlatPatches]) -> DepthNoise | None:
     """Return the depth noise estimated from the flat patches of some frames; None if there are too few."""
+    noise = _noise_of(frames)
+    parts = [part for i in range(_PARTS) if (part := _noise_of(frames[i::_PARTS])) is not None]
+    if noise is None or len(parts) < _PARTS:
+        return None
+    middle_m = float(np.sqrt(noise.near_m * noise.far_m))
+    spread = float(np.std([part.sigma_m(middle_m) for part in parts], ddof=1)) / noise.sigma_m(middle_m)
+    return replace(noise, error=round(float(np.hypot(spread / np.sqrt(_PARTS), _LEAST_ERROR)), 3))
+
+
+def _noise_of(frames: Sequence[FlatPatches]) -> DepthNoise | None:
     depth_m = np.concatenate([patches.depth_m for patches in frames]) if frames else np.zeros(0)
     sigma_m = np.concatenate([patches.sigma_m for patches in frames]) if frames else np.zeros(0)
-    if len(depth_m) < _MIN_PATCHES:
+    if len(depth_m) < _MIN_PATCHES // _PARTS:
         return None
     bins = np.array_split(np.argsort(depth_m, kind="stable"), _BINS)
     z = np.array([np.median(depth_m[chosen]) for chosen in bins])
@@ -140,55 +142,6 @@ def depth_noise(frames: Sequence[FlatPatches]) -> DepthNoise | None:
         near_m=float(np.quantile(depth_m, 0.05)),
         far_m=float(np.quantile(depth_m, 0.95)),
     )
-
-
-def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
-    """Return the constant bias of depth; None if too few frames show a floor over a sufficient range of depths.
-
-    A bias b puts a ray's end below the floor by b times its descent per metre of depth: least squares over all patches.
-    A tilt of the floor (gravity) and a height per frame (poses) are estimated too.
-    """
-    floors = [floor for patches in frames if (floor := _floor_of(patches)) is not None]
-    if len(floors) < _MIN_FRAMES:
-        return None
-    points, falls = np.concatenate([f[0] for f in floors]), np.concatenate([f[1] for f in floors])
-    frame = np.repeat(np.arange(len(floors)), [len(f[1]) for f in floors])
-
-    def beside_mean(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-        means = np.bincount(frame, values * weight) / np.maximum(np.bincount(frame, weight), 1e-9)
-        return np.asarray(values - means[frame])
-
-    weight = np.ones(len(falls))
-    for _ in range(4):
-        known = [beside_mean(values, weight) for values in (falls, points[:, 0], points[:, 1])]
-        height = beside_mean(points[:, 2], weight)
-        normal = np.array([[float((weight * a * b).sum()) for b in known] for a in known])
-        right = np.array([float((weight * a * height).sum()) for a in known])
-        if np.linalg.matrix_rank(normal) < len(known):
-            return None
-        found = np.linalg.solve(normal, right)
-        off = height - sum(value * column for value, column in zip(found, known, strict=True))
-        scale = 1.4826 * float(np.median(np.abs(off))) + 1e-6
-        weight = (np.abs(off) < 3 * scale).astype(np.float64)
-    freedom = max(float(weight.sum()) - len(floors) - 3, 1.0)
-    variance = float((weight * off * off).sum()) / freedom * float(np.linalg.inv(normal)[0, 0])
-    return DepthBias(bias_m=float(found[0]), error_m=float(np.sqrt(variance)), num_frames=len(floors))
-
-
-def _floor_of(patches: FlatPatches) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    # (N, 3) centres of patches on the floor, and the descent of their rays per metre of depth.
-    if len(patches.depth_m) < _MIN_COPLANAR:
-        return None
-    points, falls = patches.points_world, patches.rays_world[:, 2]
-    is_level = (np.abs(patches.normals_world[:, 2]) > _LEVEL) & (falls < -_LEAST_FALL)
-    if is_level.sum() < _MIN_COPLANAR:
-        return None
-    heights = points[is_level, 2]
-    near = np.abs(heights[:, None] - heights[None]) < _SAME_FLOOR_M
-    floor = float(np.median(heights[near[int(np.argmax(near.sum(axis=1)))]]))
-    chosen = is_level & (np.abs(points[:, 2] - floor) < _SAME_FLOOR_M)
-    enough = chosen.sum() >= _MIN_COPLANAR and falls[chosen].min() < _FALL_RATIO * falls[chosen].max()
-    return (points[chosen], falls[chosen]) if enough else None
 
 
 def _law_of(z: NDArray[np.float64], sigma: NDArray[np.float64]) -> tuple[float, float]:

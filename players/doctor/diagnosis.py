@@ -5,6 +5,7 @@ One pass covers every message, for stamps and damage; another plays like `play` 
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,20 @@ from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, motion
 from hickory_stream.ports import Source
 from hickory_stream.poses.hand_eye import NoHandEye
-from players.doctor.depth_color_alignment import BorderScores, ColorAlignment, border_scores, color_alignment
-from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth_bias, depth_noise, flat_patches
+from players.doctor.depth_bias import DepthBias, ViewSampler, depth_bias
+from players.doctor.depth_color_alignment import (
+    BorderScores,
+    ColorAlignment,
+    ColorLag,
+    border_scores,
+    color_alignment,
+    color_lag,
+)
+from players.doctor.depth_noise import DepthNoise, FlatPatches, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
+from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
+from players.doctor.motion_mends import ANYWAY, DepthUnit, depth_unit_of, link_of, mend_of
 from players.doctor.stream_stats import StreamStats, nearest_ms
 from players.logs.containers import Log
 from players.logs.layouts.folder import FolderSource
@@ -41,6 +52,7 @@ _ENDS_S, _OWN_CLOCK_S = 2.0, 1e9
 _SAMPLES = 12
 # A frame with a larger share of missing depth is not examined for a floor.
 _NO_DEPTH = 0.9
+_OTHER_M, _OTHER_RAD = 0.4, 0.26
 _KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
 _BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
 """Time and memory of `play` on two shared cores without a GPU, for a rough estimate."""
@@ -71,6 +83,8 @@ class Diagnosis:
     live: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    #: Lines of a profile that mend what was found.
+    fixes: dict[str, Any] = field(default_factory=dict)
     refusal: str | None = None
 
     @property
@@ -193,13 +207,18 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     due, first_ns, last_ns = 0.0, 0, 0
     invalid: list[float] = []
     borders: list[BorderScores] = []
-    patches: list[FlatPatches] = []
+    seen_from: list[NDArray[np.float64]] = []
+    patches, views, wanted = list[FlatPatches](), list[FlatPatches](), ViewSampler(expected)
     lights: list[Brightness] = []
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
+    # An odometry's poses come from the images themselves.
+    motions = None if isinstance(source, OdometrySource) else MotionSampler(every=max(1, expected // STEPS))
     started_s = time.perf_counter()
     for raw in source.frames():
         num_frames += 1
+        if motions is not None:
+            motions.add(raw)
         jumps += raw.after_from_before is not None
         first_ns, last_ns = first_ns or raw.stamp_ns, raw.stamp_ns
         if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
@@ -208,7 +227,11 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
             if last is not None and raw.after_from_before is None:
                 due += _keyframes_due(last, keyframe, config.keyframes)
             last = keyframe
-        if raw.index % step == 0 and len(invalid) < 2 * _SAMPLES:
+        is_sample, is_view = raw.index % step == 0 and len(invalid) < 2 * _SAMPLES, wanted.wants(raw)
+        if is_view:
+            with suppress(RecordingError):
+                views.append(flat_patches(raw.decode()))
+        if is_sample:
             try:
                 frame = raw.decode()
                 invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
@@ -217,8 +240,14 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 lights.append(brightness_of(frame.rgb))
                 if invalid[-1] < _NO_DEPTH:
                     floors.append(floor_in(frame))
-                if (scores := border_scores(frame)) is not None:
+                # The same edges are one witness, however often they are seen.
+                is_other = all(
+                    moved_m > _OTHER_M or turned_rad > _OTHER_RAD
+                    for moved_m, turned_rad in (motion(pose, frame.world_from_camera) for pose in seen_from)
+                )
+                if is_other and (scores := border_scores(frame)) is not None:
                     borders.append(scores)
+                    seen_from.append(frame.world_from_camera)
             except RecordingError as error:
                 num_torn += 1
                 found.notes.append(str(error))
@@ -226,7 +255,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
     agreement = color_alignment(borders)
-    noise, bias, light = depth_noise(patches), depth_bias(patches), median_brightness(lights)
+    agreed = motions.agreement(link_of(source)) if motions is not None else None
+    lag = color_lag(motions.lag_scores) if motions is not None else None
+    noise, bias, light = depth_noise(patches), depth_bias(views), median_brightness(lights)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
@@ -234,6 +265,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
         "depth_noise": {"ratio": round(noise.ratio_to(sensor), 3), **asdict(noise)} if noise is not None else None,
         "depth_bias": {"is_off": bias.is_off, **asdict(bias)} if bias is not None else None,
+        "motion": asdict(agreed) if agreed is not None else None,
+        "color_lag": {"is_off": lag.is_off, **asdict(lag)} if lag is not None else None,
         "sensor": asdict(sensor),
         "light": asdict(light) if light is not None else None,
         "size": [camera.width, camera.height],
@@ -250,10 +283,12 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
     _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
-    judge_color(found, agreement)
-    judge_depth(found, noise, bias, sensor)
+    judge_motion(found, agreed, depth_unit_of(played))
+    judge_color(found, agreement, lag)
+    if agreed is None or not agreed.is_worthless:
+        judge_depth(found, noise, bias, sensor)
+        found.notes += gravity_notes(floors)
     judge_brightness(found, light)
-    found.notes += gravity_notes(floors)
     if isinstance(played, LogSource):
         setup = played.setup
         topics = (setup.topics.color, setup.topics.depth)
@@ -314,8 +349,28 @@ def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[
         )
 
 
-def judge_color(found: Diagnosis, agreement: ColorAlignment | None) -> None:
-    """Report a wrong registration of colour and depth."""
+def judge_motion(found: Diagnosis, motion: MotionAgreement | None, depth: DepthUnit = DepthUnit()) -> None:  # noqa: B008
+    """Report poses that do not move as the images do; without use, `play` refuses them."""
+    if motion is None:
+        return
+    reasons, fixes = mend_of(motion, depth)
+    found.fixes |= fixes
+    if motion.is_worthless and reasons:
+        found.refusal = "; ".join(reasons) + f". {ANYWAY}"
+    else:
+        found.problems += reasons
+
+
+def judge_color(found: Diagnosis, agreement: ColorAlignment | None, lag: ColorLag | None = None) -> None:
+    """Report a wrong registration of colour and depth, by their times or by the calibration."""
+    if lag is not None and lag.is_off:
+        late, offset_ms = "late" if lag.lag_s > 0 else "early", round(-1e3 * lag.lag_s)
+        found.problems.append(
+            f"depth is stamped {abs(lag.lag_s):.2f} +- {lag.error_s:.2f} s too {late} for colour: without it, they lie "
+            f"on each other while the camera moves; put depth_offset_ms = {offset_ms} under [time] of a profile"
+        )
+        found.fixes["time"] = {**found.fixes.get("time", {}), "depth_offset_ms": offset_ms}
+        return
     if agreement is None or not agreement.is_off:
         return
     x_mm, y_mm = (1e3 * value for value in agreement.offset_m)
@@ -330,13 +385,15 @@ def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | No
     if bias is not None and bias.is_off:
         long = "long" if bias.bias_m > 0 else "short"
         found.problems.append(
-            f"depth is {1e3 * abs(bias.bias_m):.0f} mm too {long} at every distance: {bias.num_frames} floors are "
-            f"straight without it; map with --set mapper.sensor.bias_m={sensor.bias_m + bias.bias_m:.3f}, or put "
-            f"bias_m under [sensor] in a profile"
+            f"depth is {1e3 * abs(bias.bias_m):.0f} +- {3e3 * bias.error_m:.0f} mm too {long} at every distance: "
+            f"{bias.num_frames} views agree best without it; map with --set "
+            f"mapper.sensor.bias_m={sensor.bias_m + bias.bias_m:.3f}, or put bias_m under [sensor] in a profile"
         )
+        found.fixes["sensor"] = {"bias_m": round(sensor.bias_m + bias.bias_m, 3)}
     if noise is not None and noise.is_other_than(sensor):
+        ratio = noise.ratio_to(sensor)
         found.notes.append(
-            f"depth has {noise.ratio_to(sensor):.1f} times the noise of the sensor's model; map with "
+            f"depth has {ratio:.2g} +- {3 * noise.error * ratio:.1g} times the noise of the sensor's model; map with "
             f"--set mapper.sensor.noise_per_m={noise.noise_per_m:.4f} --set mapper.sensor.noise_m={noise.noise_m:.4f}, "
             f"or put them under [sensor] in a profile"
         )

@@ -43,7 +43,7 @@ def diagnosis_text(found: Diagnosis) -> str:
         lines[-1] += f"median {found.sync['median_ms']} ms, 95 % within {found.sync['p95_ms']} ms"
         lines += _histogram_lines(found.sync["histogram"])
     if found.frames:
-        lines += ["", _frames_line(found.frames), _depth_line(found.frames)]
+        lines += ["", _frames_line(found.frames), _depth_line(found.frames), _motion_line(found.frames["motion"])]
         lines.append(
             f"mapping should take about {found.estimate['map_s']:.0f} s and {found.estimate['memory_mb']:.0f} MB "
             "(two cores, no GPU)"
@@ -138,11 +138,22 @@ def _depth_line(frames: dict[str, Any]) -> str:
         constant = f" + {1e3 * noise['noise_m']:.1f} mm" * (noise["noise_m"] >= 5e-5)
         line = (
             f"depth: noise {noise['noise_per_m']:.4f} z2{constant} on {noise['num_patches']} flat patches from "
-            f"{noise['near_m']:.1f} to {noise['far_m']:.1f} m, taken for {believed}"
+            f"{noise['near_m']:.1f} to {noise['far_m']:.1f} m (+- {3 * noise['error']:.0%}), taken for {believed}"
         )
     if bias is None:
-        return f"{line}; too little floor for a bias"
-    return f"{line}; bias {1e3 * bias['bias_m']:+.0f} +- {1e3 * bias['error_m']:.0f} mm"
+        return f"{line}; too few views of the same surfaces for a bias"
+    return f"{line}; bias {1e3 * bias['bias_m']:+.0f} +- {3e3 * bias['error_m']:.0f} mm"
+
+
+def _motion_line(motion: dict[str, Any] | None) -> str:
+    if motion is None:
+        return "poses and images: too little moves to compare them"
+    line = f"poses and images: agree on {motion['share']:.0%} of {motion['num_moving']} motions"
+    if motion["scale"] is not None:
+        line += f"; scale of depth {motion['scale']:.3g} +- {motion['scale'] * motion['scale_error']:.2g}"
+    if motion["lag_s"] is not None:
+        line += f"; poses late by {1e3 * motion['lag_s']:+.0f} +- {1e3 * motion['lag_error_s']:.0f} ms"
+    return line
 
 
 def _color_text(agreement: dict[str, Any] | None) -> str:

@@ -155,7 +155,9 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
         color_lens=color_lens,
         depth_lens=depth_lens,
         registration=Registration(
-            depth_camera=depth_lens.camera, color_camera=color_lens.camera, color_from_depth=color_from_depth
+            depth_camera=depth_lens.camera,
+            color_camera=color_lens.camera,
+            color_from_depth=profile.corrections.between(color_from_depth),
         ),
         plan=plan,
         pose_span_ns=_span(opening.reader, plan),
@@ -166,6 +168,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
         uses_log_time=clock == "log",
         depth_units_per_m=profile.depth_units_per_m,
         sensor=profile.sensor,
+        corrections=profile.corrections,
+        has_float_depth=depth_image.encoding.strip().startswith("32FC1"),
         is_live=is_live,
         estimates_poses=estimates,
         tree=opening.reader.tree(),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from players.poses.camera_poses import PosePlan
     from players.poses.tf import FrameTree
     from players.poses.tracks import JumpLimits
-    from players.profile import RigLinks
+    from players.profile import Corrections, RigLinks
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -38,6 +38,8 @@ class LogSetup:
     uses_log_time: bool
     depth_units_per_m: float
     sensor: DepthSensor
+    corrections: Corrections
+    has_float_depth: bool
     streams: tuple[tuple[str, str], ...]
     is_live: bool = False
     estimates_poses: bool = False

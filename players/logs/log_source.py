@@ -138,7 +138,7 @@ class LogSource:
                 if frame is not None:
                     index += 1
                     last_ns = frame.stamp_ns
-                    reader.forget(frame.stamp_ns - _KEPT_NS)
+                    reader.forget(frame.stamp_ns - setup.corrections.pose_offset_ns - _KEPT_NS)
                     yield frame
         reader.end()
         for fate, number in reader.fates.items():
@@ -210,6 +210,7 @@ class LogSource:
             stream, topic = roles[message.topic]
             # Without a stamp it is too short for a header, hence unreadable.
             stamp_ns = message.log_ns if timed.stamp_ns is None else timed.stamp_ns
+            stamp_ns += self.setup.corrections.depth_offset_ns if stream == "depth" else 0
             for placed in timelines[message.topic].add(stamp_ns, message, clock):
                 if placed.order in (Order.OFF, Order.DUPLICATE):
                     fate = f"{stream}_stamp_off" if placed.order is Order.OFF else f"duplicate_{stream}"
@@ -253,7 +254,9 @@ class LogSource:
             return False
         self._plan = plan
         if color_from_depth is not None:
-            self._registration = replace(self._registration, color_from_depth=color_from_depth)
+            self._registration = replace(
+                self._registration, color_from_depth=self.setup.corrections.between(color_from_depth)
+            )
         return True
 
     def _image(self, topic: Topic, message: LogMessage, stamp_ns: int, ledger: Ledger) -> LogImage | None:
@@ -267,9 +270,15 @@ class LogSource:
 
     def _is_settled(self, epoch: int, pair: Pair, reader: PoseReader, newest: dict[int, int]) -> bool:
         needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
-        if self._plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
+        offset_ns = self.setup.corrections.pose_offset_ns
+        if self._plan.reaches(needed_ns - offset_ns, epoch, reader) or max(newest) > epoch:
             return True
-        return newest[epoch] - pair.stamp_ns > self.setup.max_gap_ns + _PATIENCE_NS
+        return newest[epoch] - pair.stamp_ns > self.setup.max_gap_ns + _PATIENCE_NS + max(0, -offset_ns)
+
+    def _pose_at(self, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
+        corrections = self.setup.corrections
+        pose = self._plan.at(stamp_ns - corrections.pose_offset_ns, epoch, reader)
+        return None if pose is None else corrections.turned(pose)
 
     def _moves_depth(self, pair: Pair) -> bool:
         # Log times are not the times of exposure.
@@ -280,7 +289,7 @@ class LogSource:
         self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: PoseReader
     ) -> Registration:
         registration = self._registration
-        then = self._plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
+        then = self._pose_at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
         return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
 
     def _frame(
@@ -291,7 +300,7 @@ class LogSource:
             self._refuse(pair, "frame_of_other_size", ledger)
             return None
         plan = self._plan
-        world_from_camera = plan.at(pair.stamp_ns, epoch, reader)
+        world_from_camera = self._pose_at(pair.stamp_ns, epoch, reader)
         is_posed = world_from_camera is not None and plan is not UNPOSED
         if world_from_camera is None:
             if not self.setup.estimates_poses:
@@ -299,7 +308,9 @@ class LogSource:
                 return None
             world_from_camera = np.eye(4)
         ledger.count("frames")
-        jump = plan.jump_between(last_ns, pair.stamp_ns, epoch, reader) if last_ns is not None else None
+        offset_ns, jump = self.setup.corrections.pose_offset_ns, None
+        if last_ns is not None:
+            jump = plan.jump_between(last_ns - offset_ns, pair.stamp_ns - offset_ns, epoch, reader)
         if jump is not None:
             ledger.count("pose_jumps")
         registered = self._registration_of(pair, world_from_camera, epoch, reader)
@@ -369,6 +380,8 @@ def _decode(
     try:
         rgb = color_of(pair.color)
         depth_m = depth_of(pair.depth, setup.depth_units_per_m)
+        if setup.corrections.depth_scale != 1:
+            depth_m = depth_m * np.float32(setup.corrections.depth_scale)
         _check_size(rgb.shape, setup.color_lens, pair.color)
         _check_size(depth_m.shape, setup.depth_lens, pair.depth)
     except RecordingError as error:

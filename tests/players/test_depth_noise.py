@@ -7,7 +7,8 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth_bias, depth_noise, flat_patches
+from players.doctor.depth_bias import DepthBias, depth_bias
+from players.doctor.depth_noise import DepthNoise, FlatPatches, depth_noise, flat_patches
 
 CAMERA = Camera(width=320, height=240, fx=190.0, fy=190.0, cx=159.5, cy=119.5)
 CONFIG = DepthCameraConfig()

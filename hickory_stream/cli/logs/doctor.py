@@ -26,6 +26,7 @@ def add(commands: Commands) -> None:
     doctor.add_argument("source", nargs="+", metavar="LOG", help="arguments of play or live")
     doctor.add_argument("--seconds", type=float, default=_LIVE_S, metavar="S", help="duration for a live route (10)")
     add_output(doctor, "--html", type=Path, metavar="PAGE", help="write a page with plots")
+    add_output(doctor, "--fix", type=Path, metavar="PROFILE", help="write a profile that mends what was found")
     add_source_options(doctor)
 
 
@@ -50,5 +51,11 @@ def run(options: argparse.Namespace) -> int:
     if options.html is not None:
         with disk_refusals(options.html, "page"):
             write_output(options.html, diagnosis_page(found).encode())
+    if options.fix is not None:
+        from players.profile import mended_profile
+
+        name = options.profile or found.streams.get("profile", "").removesuffix(" (guessed)")
+        with disk_refusals(options.fix, "profile"):
+            write_output(options.fix, mended_profile(name, found.fixes).encode())
     print(output("doctor", found.as_dict(), indent=1) if options.json else diagnosis_text(found))
     return found.status

@@ -123,6 +123,7 @@ def add(commands: Commands) -> None:
     )
     play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="seed of the faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
+    play.add_argument("--anyway", action="store_true", help="map a log whose poses and depth do not fit each other")
     add_run_options(play)
     add_source_options(play)
 
@@ -174,6 +175,7 @@ def run(options: argparse.Namespace) -> int:
     )
     clock = PlaybackClock(rate)
     source = open_from_note(note, clock, settings.mapper.keyframes)
+    _compare_motion(options, note)
     out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
     style = make_style(options)
     if not options.json:
@@ -205,6 +207,22 @@ def run(options: argparse.Namespace) -> int:
         for sink in beside:
             sink.close()
     return finish(options, out, played)
+
+
+def _compare_motion(options: argparse.Namespace, note: dict[str, Any]) -> None:
+    # Before an existing map is replaced; on a source of its own, whose frames are counted apart.
+    from players import open_from_note
+    from players.doctor.motion_mends import motion_warnings
+
+    source = open_from_note({**note, "faults": None})
+    reasons, is_worthless = motion_warnings(source)
+    source.close()
+    if is_worthless and not options.anyway:
+        raise InputError(
+            f"{note['uris'][0]}: {'; '.join(reasons)} (`doctor --fix PROFILE` writes it), or map it --anyway"
+        )
+    for reason in reasons:
+        sys.stderr.write(f"warning: {reason}\n")
 
 
 def _play_fleet(options: argparse.Namespace) -> int:

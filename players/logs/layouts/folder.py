@@ -169,6 +169,11 @@ class FolderSource:
             unit="images" if isinstance(content.frames[0].color, FilePart) else "files",
         )
 
+    @property
+    def depth_units_per_m(self) -> float:
+        """The unit of the first depth image."""
+        return self.content.frames[0].view.depth_units_per_m
+
     def num_bytes(self) -> int:
         """Return the size of everything that is played: images, poses and intrinsics."""
         return sum(file.stat().st_size for file in {*self.content.text_files, *self.content.images})

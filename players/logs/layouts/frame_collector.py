@@ -178,11 +178,12 @@ class FrameCollector:
             assert view is not None
             frames.append(FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=pose, view=view))
         world_from_log, up = self._upright(frames)
+        turned = self._profile.corrections.turned
         content = FolderContent(
             kind=kind,
             sensor=self._profile.sensor,
             frames=tuple(
-                replace(frame, world_from_camera=compose(world_from_log, pose, self._depth_from_color))
+                replace(frame, world_from_camera=turned(compose(world_from_log, pose, self._depth_from_color)))
                 if (pose := frame.world_from_camera) is not None
                 else frame
                 for frame in frames
@@ -210,7 +211,8 @@ class FrameCollector:
             color_camera=(color or depth).camera(sizes[0], str(self._folder)),
             color_from_depth=self._color_from_depth,
         )
-        return FolderView(registration=registration, depth_units_per_m=depth_units_per_m)
+        units_per_m = depth_units_per_m / self._profile.corrections.depth_scale
+        return FolderView(registration=registration, depth_units_per_m=units_per_m)
 
     def _upright(self, frames: Sequence[FolderFrame]) -> tuple[NDArray[np.float64], str]:
         # The rotation (4, 4) from the log's world to the upright one, and its origin in words.

@@ -1,0 +1,131 @@
+"""Mends of poses and depth that do not fit each other: in words, and as lines of a profile; a check before `play`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
+from players.logs.layouts.folder import FolderSource
+from players.logs.log_source import LogSource
+from players.poses.camera_poses import body_from_camera_of
+from players.poses.odometry_source import OdometrySource
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Source
+
+ANYWAY = "`play --anyway` maps it all the same"
+# `play` looks at so many frames of the beginning at most, until the camera has moved enough.
+_MOST_FRAMES = 1500
+
+# Units in which depth is recorded: numbers a metre, and the unit's name.
+_UNITS = {
+    1.0: "metres", 100.0: "centimetres", 1000.0: "millimetres", 2000.0: "0.5 mm", 4000.0: "0.25 mm", 5000.0: "0.2 mm",
+    8000.0: "0.125 mm", 10000.0: "0.1 mm", 1000 / 304.8: "feet", 1000 / 25.4: "inches",
+}  # fmt: skip
+# Usual distances; where those by the poses' unit are not, the poses are in another unit.
+_USUAL_M = (0.15, 30.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DepthUnit:
+    """The unit by which depth is read, and the line of a profile that changes it."""
+
+    units_per_m: float = 1000.0
+    key: str = "depth_units_per_m"
+
+
+def depth_unit_of(source: Source) -> DepthUnit:
+    """Return the unit of a source: floating-point images are metres, and a folder may know its own."""
+    if isinstance(source, FolderSource):
+        return DepthUnit(units_per_m=source.depth_units_per_m, key="depth_scale")
+    if not isinstance(source, LogSource):
+        return DepthUnit()
+    is_float = source.setup.has_float_depth
+    return DepthUnit(
+        units_per_m=1.0 if is_float else source.setup.depth_units_per_m,
+        key="depth_scale" if is_float else "depth_units_per_m",
+    )
+
+
+def link_of(source: Source) -> NDArray[np.float64] | None:
+    """Return the static link (4, 4) from the body of the poses to the camera; None if there is none."""
+    plan = source.setup.plan if isinstance(source, LogSource) else None
+    return body_from_camera_of(plan) if plan is not None and plan.stream is not None and plan.is_static else None
+
+
+def motion_warnings(source: Source) -> tuple[list[str], bool]:
+    """Return what is certainly wrong by the beginning of a source, and whether a map would be worthless."""
+    if isinstance(source, OdometrySource):
+        return [], False
+    motions = MotionSampler()
+    for number, raw in enumerate(source.frames()):
+        motions.add(raw)
+        if number >= _MOST_FRAMES or motions.num_moving >= STEPS:
+            break
+    motion = motions.agreement(link_of(source))
+    if motion is None:
+        return [], False
+    reasons, _ = mend_of(motion, depth_unit_of(source))
+    return reasons, motion.is_worthless and bool(reasons)
+
+
+def mend_of(motion: MotionAgreement, depth: DepthUnit) -> tuple[list[str], dict[str, Any]]:
+    """Return what is wrong by the motion with what mends it, in words, and as lines of a profile."""
+    agree = f"{motion.mended_share:.0%} of {motion.num_moving} motions"
+    if motion.poses == "foreign":
+        return [
+            f"poses do not move as the images do: they agree on {agree}; they may be another robot's, or another "
+            "clock's: name others with --pose-topic, or estimate them with --odometry depth"
+        ], {}
+    reasons, fixes = [], dict[str, Any]()
+    if motion.poses != "sound":
+        reasons.append(
+            f"poses are {motion.poses}: so read, {agree} agree with the images, as recorded {motion.share:.0%}; "
+            "record world_from_body, or estimate poses with --odometry depth"
+        )
+    if motion.is_mirrored:
+        reasons.append(f"images or poses are mirrored: {agree} agree so; record without mirroring")
+    elif motion.axes != "x y z":
+        right, down, forward = motion.axes.split()
+        body = " (a body's axes, not an optical frame's)" if motion.axes == "-y -z x" else ""
+        reasons.append(
+            f"the camera's axes do not fit the motion: the image's right, down and forward are {right}, {down} and "
+            f'{forward} of its frame{body}, by {agree}; put camera_axes = "{motion.axes}" into a profile'
+        )
+        fixes["camera_axes"] = motion.axes
+    if motion.has_other_scale:
+        reason, line = _scale_mend(motion, depth)
+        reasons.append(reason)
+        fixes |= line
+    if motion.has_lag and motion.lag_s is not None and motion.lag_error_s is not None:
+        late, offset_ms = "late" if motion.lag_s > 0 else "early", round(-1e3 * motion.lag_s)
+        reasons.append(
+            f"poses are stamped {abs(motion.lag_s):.3f} +- {motion.lag_error_s:.3f} s too {late} for the images; put "
+            f"pose_offset_ms = {offset_ms} under [time] of a profile"
+        )
+        fixes["time"] = {"pose_offset_ms": offset_ms}
+    return reasons, fixes
+
+
+def _scale_mend(motion: MotionAgreement, depth: DepthUnit) -> tuple[str, dict[str, Any]]:
+    assert motion.scale is not None and motion.scale_error is not None
+    scale, error = motion.scale, motion.scale_error
+    factor = scale if scale > 1 else 1 / scale
+    times = (
+        f"{factor:.3g} +- {factor * error:.2g} times too {'far' if scale > 1 else 'near'} for the motion of the poses"
+    )
+    low_m, high_m = _USUAL_M
+    if low_m < motion.depth_m < high_m and not low_m < motion.depth_m / scale < high_m:
+        return f"poses are in another unit: depth is {times}, but usual by itself; record them in metres", {}
+    right = depth.units_per_m * scale
+    named = [unit for unit in _UNITS if abs(np.log(unit / right)) < max(error, 0.1)]
+    if named:
+        right = min(named, key=lambda unit: abs(np.log(unit / right)))
+    unit = f": it is in {_UNITS[right]}" if named else ""
+    value = float(f"{right if depth.key == 'depth_units_per_m' else depth.units_per_m / right:.6g}")
+    return f"depth is {times}{unit}; put {depth.key} = {value:g} into a profile", {depth.key: value}
