@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, rotation_from_quaternion
@@ -304,7 +305,7 @@ def _scale(value: float) -> float:
 def _axes(text: str) -> NDArray[np.float64] | None:
     columns = [np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in text.split()]
     axes = np.array(columns).T
-    if axes.shape != (3, 3) or not np.linalg.det(axes) > 0.5:
+    if axes.shape != (3, 3) or not portable.det3(axes) > 0.5:
         raise ValueError(f"camera_axes {text!r}; expected the image's right, down and forward, such as '-y -z x'")
     return None if np.array_equal(axes, np.eye(3)) else axes
 

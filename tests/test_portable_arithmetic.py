@@ -27,8 +27,11 @@ PATHS = (
 # Not on the way from pixels to a digest.
 EXEMPT = {
     "hickory_stream/geometry/display.py": "where a viewer looks first, and its colours of features",
+    "players/doctor/depth_bias.py": "what `doctor` says of the depth camera",
     "players/doctor/depth_color_alignment.py": "what `doctor` says of a calibration",
     "players/doctor/depth_noise.py": "what `doctor` says of the depth camera",
+    "players/doctor/motion_agreement.py": "what `doctor` says of the poses",
+    "players/doctor/motion_mends.py": "what `doctor` says of the poses",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(
