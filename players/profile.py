@@ -3,7 +3,6 @@
 A profile names topics, links between body and camera, and tolerances. Topics identify it, or `--profile`.
 """
 
-import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.json_text import dumps_exactly, toml_string
 from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry import portable
@@ -208,8 +208,10 @@ def _table_lines(name: str, table: Mapping[str, Any]) -> list[str]:
 def _toml(value: object) -> str:
     # TOML writes strings, numbers and lists as JSON does, and a table within a line with `=`.
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key)} = {_toml(part)}" for key, part in value.items()) + "}"
-    return "[" + ", ".join(map(_toml, value)) + "]" if isinstance(value, list) else json.dumps(value)
+        return "{" + ", ".join(f"{toml_string(key)} = {_toml(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return toml_string(value) if isinstance(value, str) else dumps_exactly(value)
 
 
 def profile_names() -> tuple[str, ...]:
