@@ -128,7 +128,7 @@ def _is_disk_full(error: BaseException | None) -> bool:
 
 
 def _told(task: LogTask, played: Played, worker: str, wall_s: float, *, resumes: bool) -> LogOutcome:
-    from hickory_stream.map_folder.history.candidates import why_no_objects
+    from hickory_stream.map_folder.history.candidates import candidates_of, why_no_objects
     from hickory_stream.map_folder.manifest import read_json
     from players.doctor.report import damage_line
 
@@ -139,7 +139,9 @@ def _told(task: LogTask, played: Played, worker: str, wall_s: float, *, resumes:
     return LogOutcome(
         name=task.name,
         state="mapped",
-        reason="; ".join(filter(None, (damage_line(ledger), "" if objects else why_no_objects(task.out)))),
+        reason="; ".join(
+            filter(None, (damage_line(ledger), "" if objects else why_no_objects(ledger, candidates_of(task.out, ()))))
+        ),
         digest=played.digest,
         processor=played.processor,
         keyframes=int(frames.get("keyframes", 0)),

@@ -86,7 +86,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.fleet.resuming import has_ended, send_recorded
-    from hickory_stream.map_folder.history.candidates import why_no_objects
+    from hickory_stream.map_folder.history.candidates import candidates_of, why_no_objects
     from hickory_stream.map_folder.history.replay import show_until_resumed
     from hickory_stream.map_folder.manifest import is_map_folder, read_json
     from hickory_stream.sinks.disk_sink import DiskSink
@@ -132,7 +132,11 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
         source.close()
     ledger = read_json(task.out, "ledger.json")
     damage = damage_line(ledger)
-    empty = "" if played.snapshot is not None and played.snapshot.objects else why_no_objects(task.out)
+    empty = (
+        ""
+        if played.snapshot is not None and played.snapshot.objects
+        else why_no_objects(ledger, candidates_of(task.out, ()))
+    )
     return Ended(
         is_finished=played.finished_cleanly,
         was_stopped=played.was_stopped,

@@ -58,7 +58,8 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     from hickory_stream.inspection.inspect import as_json, chosen, format_table, summarize
-    from hickory_stream.map_folder.history.candidates import why_no_objects
+    from hickory_stream.map_folder.history.candidates import candidates_of, why_no_objects
+    from hickory_stream.map_folder.manifest import read_json
 
     near, within_m = _near(options.near)
     if not 0 <= options.min_size < float("inf"):
@@ -75,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     if found.objects or options.at is not None or not (options.map / "ledger.json").is_file():
         return 0
     sys.stdout.flush()
-    sys.stderr.write(f"{why_no_objects(options.map)}\n")
+    sys.stderr.write(f"{why_no_objects(read_json(options.map, 'ledger.json'), candidates_of(options.map, ()))}\n")
     return INCOMPLETE
 
 

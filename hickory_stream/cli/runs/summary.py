@@ -42,7 +42,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     if registration is not None and registration.warning():
         notes = (*notes, registration.warning())
     if not objects:
-        notes = (*notes, why_no_objects(out))
+        notes = (*notes, why_no_objects(ledger, candidates))
     if options.json:
         said = {
             "event": "finished",

@@ -1,16 +1,16 @@
 """What became of the candidates of a run: every track that it began is in the map, was merged, or was dropped."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import StepKind
 from hickory_stream.map_folder.history.registration_history import steps_behind
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.map_folder.manifest import read_json
 
 _PLAIN = {
     "never confirmed": "seen too seldom, or from one side only",
@@ -73,9 +73,9 @@ def candidates_of(path: Path, object_ids: Collection[int]) -> Candidates | None:
     )
 
 
-def why_no_objects(path: Path) -> str:
-    """Return in one line why the map in a folder has no objects."""
-    frames, candidates = read_json(path, "ledger.json").get("frames", {}), candidates_of(path, ())
+def why_no_objects(ledger: Mapping[str, Any], candidates: Candidates | None) -> str:
+    """Return in one line why a run with this ledger and these candidates has no objects."""
+    frames = ledger.get("frames", {})
     keyframes, kept_out = frames.get("keyframes", 0), frames.get("keyframes_kept_out", 0)
     blind = frames.get("keyframes_without_depth", 0)
     reasons = [f"found no object in {keyframes} {'keyframe' if keyframes == 1 else 'keyframes'}"]
