@@ -69,9 +69,10 @@ async def compile_kernels(
         raise
     finally:
         reporting.cancel()
-    if not in_background:
-        await everything
-    return everything
+    if in_background:
+        return everything
+    await everything
+    return None
 
 
 def are_compiled() -> bool:
