@@ -31,7 +31,7 @@ from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.raycast import Scene, surface_of_mesh
 from players.logs.layouts.bop import OBJECTS, read_objects
 from players.logs.layouts.folder import FolderFrame, FolderSource, decoded
 from players.logs.layouts.folder_text import expecting, read_text, read_world_from_log
@@ -249,7 +249,7 @@ def _truth(
         if scene is None:
             solids = [(item.id, moved_mesh(meshes[item.mesh], item.world_from_object)) for item in objects]
             solids += [(0, meshes[name]) for name in structure]
-            scene = Scene([Surface(vertices=m.vertices, faces=m.faces, colors=m.colors, owner=i) for i, m in solids])
+            scene = Scene([surface_of_mesh(mesh, i) for i, mesh in solids])
         return _cast(scene, frames[frame.index], source)
 
     return Truth(

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, TruthScore, meshes_of, score_map
 from hickory_stream.evaluation.placement import Placement, ViewFrame, placed_truth
-from hickory_stream.evaluation.surface_score import SAMPLES, SurfaceScore, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.reach import depth_on_objects
+from hickory_stream.evaluation.surface_score import (
+    SAMPLES,
+    SurfaceScore,
+    TrueSurface,
+    diameter_m,
+    invented_m3,
+    surface_score,
+)
 from hickory_stream.evaluation.trajectory_error import PoseError, pose_error
 from hickory_stream.evaluation.truth import (
     Truth,
@@ -26,7 +34,7 @@ from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
 from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.map_folder.views import read_mask
-from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.raycast import Scene, surface_of_mesh
 from hickory_stream.records import TrackedObject
 
 
@@ -62,7 +70,7 @@ def seen_samples(
     missing or damaged instance image.
     """
     solids = [surface.mesh for surface in surfaces.values()] + list(structure)
-    scene = Scene([Surface(vertices=m.vertices, faces=m.faces, colors=m.colors, owner=0) for m in solids])
+    scene = Scene([surface_of_mesh(mesh) for mesh in solids])
     seen = {i: np.zeros(len(surface.samples), dtype=bool) for i, surface in surfaces.items()}
     shown = {item.id: set(item.frames) for item in truth.objects}
     last = len(truth.frames) - 1
@@ -129,6 +137,11 @@ class ObjectEvaluation:
     #: share of its `num_seen` visible samples inside layer 4 of the match, None without a layer 4
     contained: float | None
     num_seen: int
+    is_fixture: bool
+    is_reachable: bool | None
+    #: volume of layer 2 farther than 5 cm outside the true object, and the true volume; None without a layer 2
+    invented_m3: float | None
+    true_m3: float | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -140,7 +153,12 @@ class Evaluation:
     """
 
     num_truth: int
+    num_reachable: int | None
     num_objects: int
+    reachable_recall_25: float | None
+    reachable_recall_50: float | None
+    fixture_share: float | None
+    generated_share: float | None
     recall_25: float
     precision_25: float
     recall_50: float
@@ -152,12 +170,15 @@ class Evaluation:
     adds_10: float
     adds_05: float
     containment: float | None
+    #: invented over true volume of the matched with layer 2
+    invented_volume: float | None
     poses: PoseError | None
     mask_purity: float | None
     median_diameter_m: float
     objects: tuple[ObjectEvaluation, ...]
     stray_ids: tuple[int, ...]
     ignored_ids: tuple[int, ...]
+    structure_ids: tuple[int, ...]
     placement: Placement | None
 
 
@@ -169,13 +190,15 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
     placed = placed_truth(saved, truth)
     truth = placed.truth
     meshes = meshes_of(saved)
-    detection = score_map(saved.snapshot, meshes, truth)
+    detection = score_map(saved.snapshot, meshes, truth, depth_on_objects(saved, truth))
+    structure = structure_meshes(truth)
+    walls = Scene([surface_of_mesh(mesh) for mesh in structure])
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
-    seen = seen_samples(truth, surfaces, structure_meshes(truth))
+    seen = seen_samples(truth, surfaces, structure)
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
     shown = {item.id: item.seen_fraction for item in truth.objects}
     rows = tuple(
-        _object_row(row, shown[row.truth_id], by_id, meshes, surfaces[row.truth_id], seen[row.truth_id])
+        _object_row(row, shown[row.truth_id], by_id, meshes, surfaces[row.truth_id], seen[row.truth_id], walls)
         for row in detection.truth
         if row.counts
     )
@@ -217,13 +240,15 @@ def _object_row(
     meshes: Mapping[int, Mesh],
     true: TrueSurface,
     seen: NDArray[np.bool_],
+    walls: Scene,
 ) -> ObjectEvaluation:
     tracked = by_id[row.map_id] if row.map_id is not None else None
     mesh = placed_mesh(tracked, meshes) if tracked is not None else None
     score: SurfaceScore | None = None
-    contained = None
+    contained, invented, volume = None, None, None
     if tracked is not None and mesh is not None and tracked.shape is not None:
         score = surface_score(true, mesh, np.random.default_rng(row.truth_id))
+        invented, volume = invented_m3(mesh, true.mesh, walls)
         if seen.any() and len(tracked.shape.inflated):
             contained = float(is_inside(tracked.shape.inflated, true.samples[seen]).mean())
     return ObjectEvaluation(
@@ -240,6 +265,10 @@ def _object_row(
         add_s_m=score.add_s_m if score is not None else None,
         contained=contained,
         num_seen=int(seen.sum()),
+        is_fixture=row.is_fixture,
+        is_reachable=row.is_reachable,
+        invented_m3=invented,
+        true_m3=volume,
     )
 
 
@@ -252,6 +281,7 @@ def _summary(
     placement: Placement | None,
 ) -> Evaluation:
     matched = [row.f1_5pct for row in rows if row.map_id is not None]
+    true_m3 = sum(row.true_m3 or 0.0 for row in rows)
 
     def success(limit: float) -> float:
         return float(np.mean([row.add_s_m is not None and row.add_s_m < limit * row.diameter_m for row in rows]))
@@ -264,6 +294,7 @@ def _summary(
         adds_10=success(_LOOSE_ADD_S),
         adds_05=success(_STRICT_ADD_S),
         containment=containment,
+        invented_volume=sum(row.invented_m3 or 0.0 for row in rows) / true_m3 if true_m3 else None,
         poses=poses,
         mask_purity=mask_purity,
         median_diameter_m=float(np.median([row.diameter_m for row in rows])),

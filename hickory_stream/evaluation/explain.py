@@ -20,7 +20,15 @@ counts       A true object counts if the log shows at least 30 % of its surface.
              counted as missed, and what was mapped of them is not counted as false.
 match        One-to-one pairs of true objects and objects with the largest sum of OBB IoUs, each at least the threshold.
 recall       Share of the true objects that count that are matched, at IoU 0.25 and at 0.5.
+reachable    A true object is reachable if in at least three keyframes the log has depth on it, at 4 or more of the
+             journal's cells (64 of 640 x 480 pixels, the smallest mask). Recall is given for these alone, too.
 precision    Share of the objects that are matched, at IoU 0.25 and at 0.5; objects on ignored truth are left out.
+fixtures     A fixture matches a true object as an object does; the share of the matched that it has is given. Without a
+             match it is false, except on structure: most of its points are nearest to true structure, and within 3 cm
+             or the depth noise at its farthest view. Then it is left out of precision. Labels have no structure.
+generated    Share of the surface of all layers 2 that no view shows: of each face, the share of its vertices.
+invented     Volume of layer 2 of the matched that is farther than 5 cm outside the true object, over the true volume.
+             A true object holds what air from outside does not reach; floor and walls close meshes that lack a side.
 tracks       Mean number of objects on a true object that has any. An object lies on a true object if more than half of
              its points are within 3 cm of it, and nearer to it than to any other true object.
 labels       Boxes labelled by hand give recall, precision and tracks alone. The IoU is the larger one of those with the
@@ -95,12 +103,20 @@ def _ids(ids: Sequence[int]) -> str:
 
 
 def _counts(e: Evaluation | Score) -> list[tuple[str, str]]:
+    reach = f" ({e.num_reachable} true objects)" if e.num_reachable is not None else " (no journal)"
     return [
         ("true objects / objects", f"{e.num_truth} / {e.num_objects}"),
         ("recall 0.25 / 0.5", f"{e.recall_25:.3f} / {e.recall_50:.3f}"),
+        ("recall of the reachable", f"{_number(e.reachable_recall_25)} / {_number(e.reachable_recall_50)}{reach}"),
         ("precision 0.25 / 0.5", f"{e.precision_25:.3f} / {e.precision_50:.3f}"),
         ("tracks per true object", f"{e.tracks_per_object:.3f}"),
+        ("found as fixtures", f"{_number(e.fixture_share)}; {len(e.structure_ids)} more on structure"),
+        ("generated surface", _number(e.generated_share)),
     ]
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
 
 
 def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
@@ -112,6 +128,7 @@ def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
         ("F1 5 % of the matched", f"{e.matched_f1_5pct:.3f}"),
         ("ADD-S < 0.1 d / 0.05 d", f"{e.adds_10:.3f} / {e.adds_05:.3f}"),
         ("containment", f"{e.containment:.5f}" if e.containment is not None else "no layer 4"),
+        ("invented volume", _number(e.invented_volume)),
     ]
     if e.placement is not None:
         p = e.placement

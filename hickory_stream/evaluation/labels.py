@@ -46,9 +46,21 @@ def load_labels(path: Path) -> tuple[TrueBox, ...]:
     return labels
 
 
-def score_labels(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], labels: Sequence[TrueBox]) -> Score:
+def score_labels(
+    snapshot: MapSnapshot,
+    meshes: Mapping[int, Mesh],
+    labels: Sequence[TrueBox],
+    depth_on: Mapping[int, int] | None = None,
+) -> Score:
     """Return the score of a map against labelled boxes; `meshes` holds layer 2 by object id, in the object frames."""
-    return score_of(labels, snapshot, meshes, lambda points_world: _owner(points_world, labels))
+    return score_of(
+        labels,
+        snapshot,
+        meshes,
+        owner_of=lambda points_world: _owner(points_world, labels),
+        is_structure=lambda _: False,
+        depth_on=depth_on,
+    )
 
 
 def _owner(points_world: NDArray[np.float32], labels: Sequence[TrueBox]) -> int | None:

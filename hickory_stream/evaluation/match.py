@@ -1,10 +1,11 @@
 """Matching of mapped objects with true ones, and recall and precision from it.
 
 An object's box is the gravity-aligned box of layer 2 (else layer 1). A true object counts if at least 30 % of its
-surface was seen; others, and objects mapped on them, are ignored. Tentative tracks are not counted.
+surface was seen; others, and objects mapped on them, are ignored. Tentative tracks are not counted. A fixture matches
+as an object does; a fixture on true structure is neither right nor false.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,17 +13,20 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import Truth, TruthObject, mesh_of
+from hickory_stream.evaluation.surface_score import generated_m2
+from hickory_stream.evaluation.truth import Truth, TruthObject, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box
-from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.geometry.mesh import Mesh, face_areas_m2
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.map_folder.saved_map import SavedMap
-from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.raycast import Scene, Surface, surface_of_mesh
 from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 
-MIN_SEEN = 0.3
+MIN_SEEN, MIN_DEPTH_KEYFRAMES = 0.3, 3
 LOOSE_IOU, STRICT_IOU = 0.25, 0.5
 SURFACE_REACH_M = 0.03
+STRUCTURE = -2
 _MIN_HALF_EXTENT_M = 0.005
 _MAX_POINTS = 3000
 # More than rounding takes off the bounds of a box.
@@ -62,17 +66,25 @@ class TruthScore:
     strict_map_id: int | None
     #: all objects that lie mostly on it
     track_ids: tuple[int, ...]
+    #: `map_id` is a fixture
+    is_fixture: bool
+    #: at least three keyframes have depth on it; None without a journal
+    is_reachable: bool | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Score:
     """Comparison of a map with truth.
 
-    Recall is the matched share of the `num_truth` true objects that count, precision of the `num_objects`.
+    Recall is the matched share of the `num_truth` true objects that count, or of the `num_reachable` (None without a
+    journal); precision of the `num_objects`.
     """
 
     num_truth: int
+    num_reachable: int | None
     num_objects: int
+    reachable_recall_25: float | None
+    reachable_recall_50: float | None
     recall_25: float
     recall_50: float
     precision_25: float
@@ -84,6 +96,12 @@ class Score:
     stray_ids: tuple[int, ...]
     #: objects on ignored truth; unless matched, they do not change precision
     ignored_ids: tuple[int, ...]
+    #: fixtures on true structure without a match; they do not change precision
+    structure_ids: tuple[int, ...]
+    #: share of the matched true objects whose match is a fixture
+    fixture_share: float | None
+    #: share of the surface of layer 2 that is generated
+    generated_share: float | None
 
 
 def match_boxes(
@@ -122,7 +140,9 @@ def _matches(ious: NDArray[np.float64], min_iou: float) -> tuple[BoxMatch, ...]:
     )
 
 
-def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
+def score_map(
+    snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth, depth_on: Mapping[int, int] | None = None
+) -> Score:
     """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames. Raises `RecordingError`."""
     if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
         raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
@@ -132,17 +152,31 @@ def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -
         TrueBox(id=item.id, kind=item.kind, counts=item.seen_fraction >= MIN_SEEN, boxes=(box,))
         for item, box in zip(truth.objects, boxes, strict=True)
     ]
-    scene = Scene(surfaces)
-    return score_of(true, snapshot, meshes, lambda points_world: _owner(points_world, scene))
+    scene, all_of_it = Scene(surfaces), Scene([*surfaces, *structure_surfaces(truth)])
+    return score_of(
+        true,
+        snapshot,
+        meshes,
+        owner_of=lambda points_world: _owner(points_world, scene),
+        is_structure=lambda fixture: _lies_on_structure(fixture, all_of_it),
+        depth_on=depth_on,
+    )
 
 
 def score_of(
     true: Sequence[TrueBox],
     snapshot: MapSnapshot,
     meshes: Mapping[int, Mesh],
+    *,
     owner_of: Callable[[NDArray[np.float32]], int | None],
+    is_structure: Callable[[TrackedObject], bool],
+    depth_on: Mapping[int, int] | None,
 ) -> Score:
-    """Return the score of a map against boxes; `owner_of` returns the true object that (N, 3) points lie on, if any."""
+    """Return the score of a map against boxes.
+
+    `owner_of` returns the true object that (N, 3) points lie on, if any; `is_structure` whether a fixture is structure.
+    `depth_on` holds the number of keyframes with depth on each true object.
+    """
     counting, ignored = [item for item in true if item.counts], [item for item in true if not item.counts]
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
     boxes = [best_box(tracked, meshes) for tracked in objects]
@@ -153,6 +187,11 @@ def score_of(
     ignored_ids = {item.id for item in ignored}
     aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
     aside |= {match.map_index for match in _matches(_best_ious(ignored, boxes), LOOSE_IOU)}
+    fixtures = {tracked.id for tracked in objects if is_fixture(tracked)}
+    right = {match.map_index for match in loose}
+    structure = {
+        i for i, one in enumerate(objects) if one.id in fixtures and i not in right | aside and is_structure(one)
+    }
     of_truth = {counting[match.truth_index].id: (objects[match.map_index].id, match.iou) for match in loose}
     of_strict = {counting[match.truth_index].id: objects[match.map_index].id for match in strict}
     rows = tuple(
@@ -164,22 +203,45 @@ def score_of(
             iou=of_truth.get(item.id, (None, 0.0))[1],
             strict_map_id=of_strict.get(item.id),
             track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
+            is_fixture=of_truth.get(item.id, (None, 0.0))[0] in fixtures,
+            is_reachable=None if depth_on is None else depth_on.get(item.id, 0) >= MIN_DEPTH_KEYFRAMES,
         )
         for item in true
     )
-    tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
+    counted = [row for row in rows if row.counts]
+    within = [row for row in counted if row.is_reachable]
+    surface_m2 = sum(float(face_areas_m2(meshes[one.id]).sum()) for one in objects if one.id in meshes)
+    tracks = [len(row.track_ids) for row in counted if row.track_ids]
     return Score(
         num_truth=len(counting),
+        num_reachable=None if depth_on is None else len(within),
         num_objects=len(objects),
+        reachable_recall_25=_share(row.map_id is not None for row in within),
+        reachable_recall_50=_share(row.strict_map_id is not None for row in within),
         recall_25=len(loose) / len(counting),
         recall_50=len(strict) / len(counting),
-        precision_25=_precision(loose, len(objects), aside),
-        precision_50=_precision(strict, len(objects), aside),
+        precision_25=_precision(loose, len(objects), aside | structure),
+        precision_50=_precision(strict, len(objects), aside | structure),
         tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
         truth=rows,
         stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
         ignored_ids=tuple(objects[i].id for i in sorted(aside)),
+        structure_ids=tuple(objects[i].id for i in sorted(structure)),
+        fixture_share=_share(row.is_fixture for row in counted if row.map_id is not None),
+        generated_share=sum(generated_m2(meshes[one.id]) for one in objects if one.id in meshes) / surface_m2
+        if surface_m2
+        else None,
     )
+
+
+def is_fixture(tracked: TrackedObject) -> bool:
+    """Return whether a mapped object is of the kind `fixture`."""
+    return bool(getattr(tracked, "kind", "object") == "fixture")
+
+
+def _share(are: Iterable[bool]) -> float | None:
+    every = list(are)
+    return sum(every) / len(every) if every else None
 
 
 def _best_ious(true: Sequence[TrueBox], map_boxes: Sequence[OrientedBox]) -> NDArray[np.float64]:
@@ -204,9 +266,22 @@ def best_box(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
 
 def surface_of(truth: Truth, item: TruthObject) -> Surface:
     """Return the mesh of a true object in the world; raises `RecordingError` if it cannot be read."""
-    mesh = mesh_of(truth, item)
-    vertices = apply(item.world_from_object, mesh.vertices)
-    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id)
+    return surface_of_mesh(moved_mesh(mesh_of(truth, item), item.world_from_object), item.id)
+
+
+def structure_surfaces(truth: Truth) -> list[Surface]:
+    """Return floor, walls and the like in the world; raises `RecordingError` if a mesh cannot be read."""
+    return [surface_of_mesh(mesh, STRUCTURE) for mesh in structure_meshes(truth)]
+
+
+def _lies_on_structure(fixture: TrackedObject, scene: Scene) -> bool:
+    """Return whether most points are nearest to structure, and within one sigma of depth at the farthest view."""
+    some = fixture.points_world[:: max(1, len(fixture.points_world) // _MAX_POINTS)]
+    eyes = np.array([view.world_from_camera[:3, 3] for view in fixture.views]).reshape(-1, 3)
+    depth_m = np.linalg.norm(eyes - some.mean(axis=0), axis=1).astype(np.float32)
+    reach_m = max(SURFACE_REACH_M, *DepthSensor().sigma_m(depth_m).tolist())
+    distance_m, owners = scene.nearest(some)
+    return bool(2 * np.count_nonzero((owners == STRUCTURE) & (distance_m <= reach_m)) > len(some))
 
 
 def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:

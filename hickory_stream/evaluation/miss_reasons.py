@@ -1,7 +1,7 @@
 """The reason why a true object is missed: the first that holds of a closed list, with supporting counts.
 
-In order: in pieces, or a wrong box; too small in every keyframe; absorbed by another object; the label of most
-keyframes, or the end of its own tracks.
+In order: out of reach; in pieces, or a wrong box; too small in every keyframe; absorbed by another object; the label of
+most keyframes, or the end of its own tracks.
 """
 
 from collections import Counter
@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from hickory_stream.evaluation.match import MIN_DEPTH_KEYFRAMES
 from hickory_stream.evaluation.overlap import LiesOn, Overlap
 from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
 from hickory_stream.geometry.boxes import OrientedBox, box_iou
@@ -20,7 +21,7 @@ from hickory_stream.map_folder.history.track_histories import Ending
 from hickory_stream.mapping.entities.existence import ExistenceConfig
 
 MissReason = Literal[
-    "on no keyframe",
+    "out of reach",
     "too small in the image",
     "outside the depth range",
     "no depth",
@@ -37,7 +38,7 @@ MissReason = Literal[
 ]
 
 MISS_REASONS: dict[MissReason, str] = {
-    "on no keyframe": "no keyframe shows a pixel of it",
+    "out of reach": "fewer than three keyframes have depth on it: no map can have it",
     "too small in the image": "too few keyframes for a track show it larger than the smallest 2 % of the run's masks",
     "outside the depth range": "in most keyframes its distance is outside the range of observations",
     "no depth": "most keyframes have no depth on it",
@@ -98,6 +99,7 @@ class Evidence:
     """Input to all reasons; `names` are of true objects, `boxes` of the map's objects.
 
     A track is confirmed when the evidence of its sightings (weighted by `existence`) adds up to `confirm`.
+    `depth_on` is the number of keyframes with depth on each true object.
     """
 
     names: Mapping[int, str]
@@ -106,6 +108,7 @@ class Evidence:
     boxes: Mapping[int, OrientedBox]
     confirm: float
     existence: ExistenceConfig
+    depth_on: Mapping[int, int]
 
     @property
     def fewest_sightings(self) -> int:
@@ -144,14 +147,16 @@ def state_of(sighting: Sighting) -> State:
 def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> Missed:
     """Return why a true object is missed; `track_ids` are the objects mostly on it."""
     seen = evidence.sightings.of_object[truth_id]
-    if not seen:
-        text = f"none of {evidence.sightings.num_keyframes} keyframes shows it"
-        return _missed(truth_id, "on no keyframe", text, (), evidence)
+    message = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
+    num_depth = evidence.depth_on.get(truth_id, 0)
+    if num_depth < MIN_DEPTH_KEYFRAMES:
+        text = f"keyframes with depth on 64 and more of its pixels (of 640 x 480): {num_depth}; {message}"
+        text = text if seen else f"none of {evidence.sightings.num_keyframes} keyframes shows it"
+        return _missed(truth_id, "out of reach", text, track_ids, evidence)
     if track_ids:
         return _has_objects(truth_id, track_ids, evidence)
     smallest = evidence.sightings.smallest_mask_px
     large = [sighting for sighting in seen if sighting.num_px >= smallest]
-    message = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
     covered = evidence.overlap.covered(truth_id)
     swallower = min(covered, key=lambda i: (-covered[i], i), default=None)
     if swallower is not None and covered[swallower] >= _SWALLOWED:

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.evaluation.match import SURFACE_REACH_M
-from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh, structure_meshes
+from hickory_stream.evaluation.match import STRUCTURE, SURFACE_REACH_M, structure_surfaces
+from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.mesh import Mesh, sample_surface
-from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.geometry.mesh import sample_surface
+from hickory_stream.pictures.raycast import Scene, surface_of_mesh
 from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 
 _MAX_POINTS = 3000
 _SAMPLES = 600
 _LEAST_SEEN = 1e-3
-_STRUCTURE = -2
 _MIN_HALF_EXTENT_M = 0.005
 
 
@@ -47,8 +46,8 @@ class Overlap:
         self._objects = [tracked for tracked in snapshot.objects if tracked.phase is not Phase.TENTATIVE]
         self._meshes = {item.id: moved_mesh(mesh_of(truth, item), item.world_from_object) for item in truth.objects}
         self._seen = {item.id: max(item.seen_fraction, _LEAST_SEEN) for item in truth.objects}
-        surfaces = [_surface(mesh, truth_id) for truth_id, mesh in self._meshes.items()]
-        self._scene = Scene([*surfaces, *(_surface(mesh, _STRUCTURE) for mesh in structure_meshes(truth))])
+        surfaces = [surface_of_mesh(mesh, truth_id) for truth_id, mesh in self._meshes.items()]
+        self._scene = Scene([*surfaces, *structure_surfaces(truth)])
         self._covered: dict[int, dict[int, float]] = {}
         self.lies_on = {tracked.id: _lies_on(tracked, self._scene) for tracked in self._objects}
         self.true_boxes = {i: gravity_aligned_box(m.vertices, _MIN_HALF_EXTENT_M) for i, m in self._meshes.items()}
@@ -79,14 +78,10 @@ class Overlap:
         return found
 
 
-def _surface(mesh: Mesh, owner: int) -> Surface:
-    return Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=owner)
-
-
 def _lies_on(tracked: TrackedObject, scene: Scene) -> LiesOn:
     some = tracked.points_world[:: max(1, len(tracked.points_world) // _MAX_POINTS)]
     distance_m, owners = scene.nearest(some)
     ids, counts = np.unique(owners[distance_m <= SURFACE_REACH_M], return_counts=True)
     shares = {int(i): float(count / max(len(some), 1)) for i, count in zip(ids, counts, strict=True)}
-    structure = shares.pop(_STRUCTURE, 0.0)
+    structure = shares.pop(STRUCTURE, 0.0)
     return LiesOn(things=shares, structure=structure, nothing=max(0.0, 1.0 - structure - sum(shares.values())))

@@ -10,6 +10,7 @@ from hickory_stream.evaluation.match import Score, TruthScore, best_box, meshes_
 from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.placement import placed_truth
+from hickory_stream.evaluation.reach import depth_on_objects
 from hickory_stream.evaluation.truth import Truth
 from hickory_stream.evaluation.truth_sightings import Sighting, sightings_of_truth
 from hickory_stream.inspection.track_history import Stretch, TrackStory, stretches_of, track_story
@@ -32,13 +33,15 @@ class Why:
     """Reasons and origins of a whole map.
 
     `num_truth` true objects count, `num_little_seen` do not. `num_aside` of `num_objects` (without tentative ones) lie
-    on true objects that do not count.
+    on true objects that do not count, `num_structure` are fixtures on structure.
     """
 
     num_truth: int
+    num_reachable: int | None
     num_little_seen: int
     num_objects: int
     num_aside: int
+    num_structure: int
     num_keyframes: int
     reasons: tuple[ReasonCount, ...]
     origins: tuple[ReasonCount, ...]
@@ -72,6 +75,7 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
     placed = placed_truth(saved, truth).truth
     meshes = meshes_of(saved)
     mapping = known_config(saved.folder).mapping
+    depth_on = depth_on_objects(saved, placed)
     evidence = Evidence(
         names={item.id: f"{item.id} {item.kind}" for item in placed.objects},
         sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),
@@ -79,8 +83,9 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
         boxes={o.id: best_box(o, meshes) for o in saved.snapshot.objects if o.phase is not Phase.TENTATIVE},
         confirm=mapping.lifecycle.confirm_sightings,
         existence=mapping.existence,
+        depth_on=depth_on or {},
     )
-    return Investigation(truth=placed, score=score_map(saved.snapshot, meshes, placed), evidence=evidence)
+    return Investigation(truth=placed, score=score_map(saved.snapshot, meshes, placed, depth_on), evidence=evidence)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -108,16 +113,17 @@ def why_of(found: Investigation) -> Why:
     missed = tuple(why_missed(row.truth_id, row.track_ids, evidence) for row in counting if row.map_id is None)
     matched = {row.map_id for row in counting}
     aside = set(score.ignored_ids) - matched
+    right = matched | aside | set(score.structure_ids)
     owners = {i: row.truth_id for row in score.truth for i in row.track_ids}
     tracks_of = {row.truth_id: _on_or_matched(row) for row in score.truth}
-    false = tuple(
-        origin_of(i, owners.get(i), tracks_of, evidence) for i in sorted(evidence.boxes) if i not in matched | aside
-    )
+    false = tuple(origin_of(i, owners.get(i), tracks_of, evidence) for i in sorted(evidence.boxes) if i not in right)
     return Why(
         num_truth=score.num_truth,
+        num_reachable=score.num_reachable,
         num_little_seen=len(score.truth) - len(counting),
         num_objects=score.num_objects,
         num_aside=len(aside),
+        num_structure=len(score.structure_ids),
         num_keyframes=evidence.sightings.num_keyframes,
         reasons=_counts(item.reason for item in missed),
         origins=_counts(item.origin for item in false),

@@ -25,15 +25,20 @@ def why_text(why: Why) -> str:
 
 
 def missed_title(why: Why) -> str:
-    """Return the counts of missed, counted and ignored true objects."""
+    """Return the counts of missed, counted and ignored true objects, and of those within reach."""
     aside = f"; {why.num_little_seen} more were seen too little to count" if why.num_little_seen else ""
-    return f"{len(why.missed)} of {why.num_truth} true objects that count are missed{aside}"
+    within = sum(item.reason != "out of reach" for item in why.missed)
+    reach = f" ({within} of {why.num_reachable} that are reachable)"
+    return f"{len(why.missed)} of {why.num_truth} true objects that count are missed{reach}{aside}"
 
 
 def false_title(why: Why) -> str:
     """Return the counts of false, all and ignored objects."""
     aside = f"; {why.num_aside} more are of true objects that do not count" if why.num_aside else ""
-    return f"{len(why.false)} of {why.num_objects - why.num_aside} objects are no true object{aside}"
+    aside += f"; {why.num_structure} more are fixtures on structure" if why.num_structure else ""
+    return (
+        f"{len(why.false)} of {why.num_objects - why.num_aside - why.num_structure} objects are no true object{aside}"
+    )
 
 
 def object_text(story: ObjectStory) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.pictures.ray_caster import RayCaster, ray_caster
 
@@ -47,6 +48,11 @@ class Surface:
         normals = vertex_normals(self.vertices, self.faces)
         normals.flags.writeable = False
         return normals
+
+
+def surface_of_mesh(mesh: Mesh, owner: int = 0) -> Surface:
+    """Return the surface of a mesh in its own colours."""
+    return Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=owner)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

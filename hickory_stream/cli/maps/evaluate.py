@@ -65,11 +65,12 @@ def _labels(options: argparse.Namespace, labels: tuple[TrueBox, ...]) -> int:
     from hickory_stream.evaluation.explain import format_labels
     from hickory_stream.evaluation.labels import score_labels
     from hickory_stream.evaluation.match import meshes_of
+    from hickory_stream.evaluation.reach import depth_on_labels
 
     if options.html is not None:
         raise InputError("found --html with labelled boxes, expected a truth folder: boxes have no surfaces to show")
     saved = open_map_at(options.map)
-    score = score_labels(saved.snapshot, meshes_of(saved), labels)
+    score = score_labels(saved.snapshot, meshes_of(saved), labels, depth_on_labels(saved, labels))
     if score.num_objects and len(score.stray_ids) == score.num_objects:
         sys.stderr.write("note: no object lies on a label; labels must be in the world of the poses that were played\n")
     print(output("evaluate-labels", asdict(score), indent=1) if options.json else format_labels(score))

@@ -21,6 +21,7 @@ LARGE_M = 0.4
 _OBJECTS = "bootstrap over true objects"
 _MIXED = "home and bookstore tuned on, office and warehouse reported"
 _TO_STRUCTURE = ("taken for structure", "dropped as structure")
+_VOLUME = "volume of the true objects found"
 _LITTLE_SEEN = "{} true objects of which under 30 % was seen"
 
 
@@ -35,6 +36,7 @@ def figures_of(measured: Measured) -> list[Figure]:
     figures += _of_robot(measured)
     by_hand = [_a_by_hand(measured, world) for world in WORLDS]
     figures += _of_structure(by_hand)
+    figures += _of_all_things(by_hand)
     figures += _of_shapes("foreign", by_hand, _MIXED)
     own, streets = ([measured[Part(world=n)] for n in names if Part(world=n) in measured] for names in (OWN, OUTDOORS))
     if own:
@@ -55,9 +57,10 @@ def figures_of(measured: Measured) -> list[Figure]:
 def of_map(name: str, record: Record, role: str) -> list[Figure]:
     """Return recall and precision of a map, for all things and for large and small ones apart."""
     truth, objects = record["truth"], record["objects"]
-    counted = [o for o in objects if o["right_25"] or not o["ignored"]]
+    counted, fixtures = _counted(objects), sum(o["structure"] for o in objects)
     unseen = _LITTLE_SEEN.format(record["little_seen"])
-    ignored = f"{len(objects) - len(counted)} objects of true ones of which under 30 % was seen"
+    ignored = f"{len(objects) - len(counted) - fixtures} objects of true ones of which under 30 % was seen"
+    ignored += f", {fixtures} fixtures on structure" if fixtures else ""
     groups: dict[str, Callable[[Record], bool]] = {
         "": lambda _: True,
         "large_": lambda row: row["size_m"] > LARGE_M,
@@ -68,7 +71,15 @@ def of_map(name: str, record: Record, role: str) -> list[Figure]:
         figures += _share(f"{name}_{group}recall_25", filter(belongs, truth), "found_25", "true objects", unseen, role)
         mine = filter(belongs, counted)
         figures += _share(f"{name}_{group}precision_25", mine, "right_25", "objects", ignored, role)
-    return figures + _share(f"{name}_recall_50", truth, "found_50", "true objects", unseen, role)
+    figures += _share(f"{name}_recall_50", truth, "found_50", "true objects", unseen, role)
+    within = [row for row in truth if row["reachable"]]
+    far = f"{unseen}, {len(truth) - len(within)} with depth in fewer than three keyframes"
+    for level in ("25", "50"):
+        figures += _share(f"{name}_reachable_recall_{level}", within, f"found_{level}", "true objects", far, role)
+    found = [row for row in truth if row["found_25"]]
+    figures += _share(f"{name}_fixture_share", found, "as_fixture", "true objects found", "", role, "same")
+    figures += _ratio(f"{name}_generated_share", objects, "generated_m2", "surface_m2", "surface of objects", role)
+    return figures + _ratio(f"{name}_invented_volume", truth, "invented_m3", "true_m3", _VOLUME, role)
 
 
 def reasons(record: Record) -> list[str]:
@@ -82,6 +93,16 @@ def reasons(record: Record) -> list[str]:
         each = ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
         lines.append(f"{sum(counts.values())} {what}: {each or '-'}")
     return lines
+
+
+def _counted(objects: Iterable[Record]) -> list[Record]:
+    return [row for row in objects if row["right_25"] or not (row["ignored"] or row["structure"])]
+
+
+def _ratio(name: str, rows: Iterable[Record], part: str, whole: str, of: str, role: str) -> list[Figure]:
+    pairs = [(row[part], row[whole]) for row in rows if row[whole]]
+    more = {"statistic": _quotient, "role": role, "interval_by": "bootstrap over objects"}
+    return [mean(name, pairs, "", "lower", f"{of} ({len(pairs)})", **more)] if pairs else []
 
 
 def _share(
@@ -157,16 +178,22 @@ def _of_structure(records: Sequence[Record | None]) -> list[Figure]:
         return []
     every = _joined(known)
     truth = [{"lost": row["missed_because"] in _TO_STRUCTURE} for row in every["truth"]]
-    objects = [
-        {"false": row["false_because"] == "structure"}
-        for row in every["objects"]
-        if row["right_25"] or not row["ignored"]
-    ]
+    objects = [{"false": row["false_because"] == "structure"} for row in _counted(every["objects"])]
     unseen = _LITTLE_SEEN.format(every["little_seen"])
     return [
         *_share("foreign_structure_swallowed", truth, "lost", "true objects", unseen, _MIXED, "lower"),
         *_share("foreign_structure_phantoms", objects, "false", "objects", "objects of these", _MIXED, "lower"),
     ]
+
+
+def _of_all_things(records: Sequence[Record | None]) -> list[Figure]:
+    known = [record for record in records if record is not None]
+    if len(known) < len(records):
+        return []
+    truth = _joined(known)["truth"]
+    found = [row for row in truth if row["found_25"]]
+    figures = _share("things_found_50_over_25", found, "found_50", "true objects found", "the missed", _MIXED)
+    return figures + _ratio("foreign_invented_volume", truth, "invented_m3", "true_m3", _VOLUME, _MIXED)
 
 
 def _of_shapes(name: str, records: Sequence[Record | None], role: str) -> list[Figure]:
@@ -180,7 +207,7 @@ def _of_shapes(name: str, records: Sequence[Record | None], role: str) -> list[F
     rows: tuple[tuple[str, Any, Any, str, Better], ...] = (
         ("f1_5pct", [row["f1_5pct"] for row in truth], np.mean, f"{len(truth)} true objects, a missed one 0", "higher"),
         ("adds_10", adds, np.mean, f"{int(sum(adds))} of {len(adds)} true objects", "higher"),
-        ("containment", inside, _ratio, f"seen samples of {len(inside)} true objects with layer 4", "higher"),
+        ("containment", inside, _quotient, f"seen samples of {len(inside)} true objects with layer 4", "higher"),
         ("tracks_per_object", tracks, np.mean, f"{len(tracks)} true objects with a track", "lower"),
     )
     more = {"left_out": "true objects of which under 30 % was seen", "interval_by": _OBJECTS, "role": role}
@@ -207,6 +234,12 @@ def _of_kitchen(name: str, record: Record) -> list[Figure]:
     more: dict[str, Any] = {"left_out": ignored, "role": ROLES[name]}
     figures = share("kitchen_recall_25", right, len(truth), "labelled objects", **more)
     figures += share("kitchen_recall_50", record["found"]["0.5"], len(truth), "labelled objects", **more)
+    within = [row["found_25"] for row in truth if row["reachable"]]
+    figures += share("kitchen_reachable_recall_25", sum(within), len(within), "labelled objects", **more)
+    if (generated := record["generated_share"]) is not None:
+        figures.append(
+            figure("kitchen_generated_share", generated, "", "lower", "surface of objects", role=ROLES[name])
+        )
     left_out = f"{record['not_counted']['0.25']} objects in ignored regions"
     figures += share("kitchen_precision_25", right, right + false, "objects", **more | {"left_out": left_out})
     for group, is_large in (("large", True), ("small", False)):
@@ -234,8 +267,8 @@ def _of_speed(_name: str, record: Record) -> list[Figure]:
     ]
 
 
-def _ratio(values: NDArray[np.float64]) -> float:
-    return float(values[:, 0].sum() / max(values[:, 1].sum(), 1.0))
+def _quotient(values: NDArray[np.float64]) -> float:
+    return float(values[:, 0].sum() / max(values[:, 1].sum(), 1e-12))
 
 
 def _mean_of_means(groups: Sequence[NDArray[np.float64]]) -> float:

@@ -18,6 +18,8 @@ from tools.benchmarks.foreign.runs import clouds_scored, kitchen_scored, mapped,
 
 _QUICK_S = 12.0
 _SEEDS = 100_000
+_SUMMARY = ("recall_25", "reachable_recall_25", "precision_25", "generated_share", "invented_volume")
+_SCORES = ("hickory_stream/evaluation", "tools/benchmarks/foreign/runs.py")
 
 
 def measure(options: Options) -> list[Figure]:
@@ -29,7 +31,7 @@ def measure(options: Options) -> list[Figure]:
         return of_map("quick_home", _mapped(log, "ours"), ROLES["home"])
     until = time.monotonic() + 60 * options.minutes
     code = code_hash(*MAPS)
-    seeds = own_seeds(options.seed, code)
+    seeds, code = own_seeds(options.seed, code), code_hash(*MAPS, *_SCORES)
     outdoors = ", ".join(map(str, seeds[: len(OUTDOORS)]))
     print(f"code {code[:12]}; apartments {', '.join(map(str, seeds))}; streets {outdoors}", flush=True)
     measured: dict[Part, dict[str, Any]] = {}
@@ -89,8 +91,7 @@ def _reported(part: Part, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     summary = "done"
     if part.is_map:
         print("\n".join(f"  {line}" for line in reasons(record)), flush=True)
-        names = {f"{part.world}_{kind}": kind for kind in ("recall_25", "precision_25")}
-        figures = of_map(part.world, record, "")
-        summary = ", ".join(f"{names[one.name]} {one.value:.3f}" for one in figures if one.name in names)
+        figures = {one.name.removeprefix(f"{part.world}_"): one.value for one in of_map(part.world, record, "")}
+        summary = ", ".join(f"{name} {figures[name]:.3f}" for name in _SUMMARY if name in figures)
     print(f"{part.name}: {summary} ({time.monotonic() - started:.0f} s)", flush=True)
     return record

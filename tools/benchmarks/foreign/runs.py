@@ -13,10 +13,14 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
-from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
+from hickory_stream.evaluation.labels import load_labels, score_labels
+from hickory_stream.evaluation.match import MIN_SEEN, best_box, is_fixture, meshes_of
 from hickory_stream.evaluation.overlap import Overlap
+from hickory_stream.evaluation.reach import depth_on_labels
+from hickory_stream.evaluation.surface_score import generated_m2
 from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.evaluation.why import NoWhy, reasons_of
+from hickory_stream.geometry.mesh import face_areas_m2
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter
@@ -58,6 +62,10 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "size_m": round(row.diameter_m, 4),
                 "found_25": row.map_id is not None,
                 "found_50": row.strict_map_id is not None,
+                "reachable": row.is_reachable,
+                "as_fixture": row.is_fixture,
+                "invented_m3": row.invented_m3,
+                "true_m3": row.true_m3,
                 "f1_5pct": row.f1_5pct,
                 "adds_10": row.add_s_m is not None and row.add_s_m < 0.1 * row.diameter_m,
                 "contained": row.contained,
@@ -74,6 +82,10 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "right_25": item.id in matched,
                 "right_50": item.id in strict,
                 "ignored": item.id in found.ignored_ids,
+                "fixture": is_fixture(item),
+                "structure": item.id in found.structure_ids,
+                "surface_m2": float(face_areas_m2(meshes[item.id]).sum()) if item.id in meshes else 0.0,
+                "generated_m2": generated_m2(meshes[item.id]) if item.id in meshes else 0.0,
                 "false_because": origins.get(item.id),
                 "is_ground": item.id in ground,
             }
@@ -120,17 +132,21 @@ def kitchen_scored(data: Path, scorer: Path) -> dict[str, Any]:
             report = json.loads(output_of(scorer, out, boxes, "--json"))
         except RuntimeError as error:
             raise RecordingError(f"{scorer} failed: {error}") from error
+        saved, labels = open_map(out), load_labels(boxes)
+        score = score_labels(saved.snapshot, meshes_of(saved), labels, depth_on_labels(saved, labels))
     entries = {row["id"]: row for row in json.loads(boxes.read_text(encoding="utf-8"))["objects"]}
-    levels = ("0.25", "0.5")
+    levels, reachable = ("0.25", "0.5"), {row.truth_id for row in score.truth if row.is_reachable}
     return {
         "truth": [
             {
                 "name": row["name"],
                 "size_m": float(np.linalg.norm(entries[row["id"]]["size"])),
                 "found_25": row["object"] is not None,
+                "reachable": row["id"] in reachable,
             }
             for row in report["objects"]
         ],
+        "generated_share": score.generated_share,
         "ignored_truth": sum(bool(row["ignore"]) for row in entries.values()),
         **{key: {level: report[level][key] for level in levels} for key in ("found", "false", "not_counted")},
     }

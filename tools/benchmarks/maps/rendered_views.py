@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hickory_stream.evaluation.match import surface_of
-from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject, structure_meshes
+from hickory_stream.evaluation.match import structure_surfaces, surface_of
+from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.raycast import Scene
 
 _SAMPLES = 150
 _RANGE_M = (0.3, 6.0)
@@ -18,11 +18,7 @@ _SLACK_M = 0.2
 
 def scene_of(truth: Truth) -> Scene:
     """Return the true surfaces of a world; raises `RecordingError` where a mesh cannot be read."""
-    structure = (
-        Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=0)
-        for mesh in structure_meshes(truth)
-    )
-    return Scene([*(surface_of(truth, item) for item in truth.objects), *structure])
+    return Scene([*(surface_of(truth, item) for item in truth.objects), *structure_surfaces(truth)])
 
 
 def seen_share(truth: Truth, item: TruthObject, frames: Sequence[TruthFrame], scene: Scene) -> float:
