@@ -279,7 +279,7 @@ def _lies_on_structure(fixture: TrackedObject, scene: Scene) -> bool:
     some = fixture.points_world[:: max(1, len(fixture.points_world) // _MAX_POINTS)]
     eyes = np.array([view.world_from_camera[:3, 3] for view in fixture.views]).reshape(-1, 3)
     depth_m = np.linalg.norm(eyes - some.mean(axis=0), axis=1).astype(np.float32)
-    reach_m = max(SURFACE_REACH_M, *DepthSensor().sigma_m(depth_m).tolist())
+    reach_m = DepthSensor().sigma_m(depth_m).max(initial=SURFACE_REACH_M)
     distance_m, owners = scene.nearest(some)
     return bool(2 * np.count_nonzero((owners == STRUCTURE) & (distance_m <= reach_m)) > len(some))
 

@@ -85,21 +85,22 @@ class Filled:
     """A mesh as a solid on a grid: the cells that air from outside its bounds does not reach.
 
     True meshes may have double walls, or lack the side on the floor or a wall. Air passes neither the mesh nor
-    `walls`. A cell on the surface beside air counts half.
+    `walls`. Cells on the outer surface count half.
     """
 
     def __init__(self, mesh: Mesh, walls: Scene | None = None) -> None:
         low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0)
         self._cell_m = max(float((high - low).max()) / _CELLS, _LEAST_CELL_M)
-        self._low = low - 1.5 * self._cell_m
-        shape = tuple(int(cells) + 4 for cells in np.ceil((high - low) / self._cell_m))
+        self._low = low - 2 * self._cell_m
+        shape = tuple(int(cells) + 5 for cells in np.ceil((high - low) / self._cell_m))
         is_surface = self._is_near(Scene([surface_of_mesh(mesh)]), shape)
         is_wall = np.zeros(shape, dtype=bool) if walls is None else self._is_near(walls, shape)
         pockets, _ = ndimage.label(~(is_surface | is_wall))
         ends = [np.take(pockets, end, axis=axis).ravel() for axis in range(3) for end in (0, -1)]
-        self._is_air = np.isin(pockets, np.unique(np.concatenate(ends))) & ~is_surface
-        volumes = np.where(self._is_air, 0.0, self._cell_m**3)
-        volumes[is_surface & ndimage.binary_dilation(self._is_air)] /= 2
+        self._is_air = np.isin(pockets, np.unique(np.concatenate(ends))) & ~(is_surface | is_wall)
+        is_outside = ~is_surface & (self._is_air | is_wall)
+        volumes = np.where(is_outside, 0.0, self._cell_m**3)
+        volumes[is_surface & ndimage.binary_dilation(is_outside, iterations=2)] /= 2
         self.centers, self.volumes_m3 = self._low + self._cell_m * np.argwhere(volumes), volumes[volumes > 0]
 
     def _is_near(self, scene: Scene, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -115,7 +116,7 @@ class Filled:
         return np.asarray(is_near)
 
     def is_air(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of (N, 3) points are outside."""
+        """Return which of (N, 3) points are outside, and not on walls."""
         places = np.round((points - self._low) / self._cell_m).astype(np.int64)
         is_within = ((places >= 0) & (places < self._is_air.shape)).all(axis=1)
         places[~is_within] = 0

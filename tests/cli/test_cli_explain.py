@@ -170,7 +170,9 @@ def test_a_map_without_a_journal_says_so(short_map, tmp_path, explain):
 
 def test_every_missed_object_and_every_false_one_is_explained(short_map, found, why):
     assert {missed.truth_id for missed in why.missed} == {row.truth_id for row in found.objects if row.map_id is None}
-    assert why.num_truth == found.num_truth
+    assert (why.num_truth, why.num_reachable) == (found.num_truth, found.num_reachable)
+    beyond = {row.truth_id for row in found.objects if not row.is_reachable and row.map_id is None}
+    assert {missed.truth_id for missed in why.missed if missed.reason == "out of reach"} == beyond
     assert len(why.missed) > 3
     matched = {row.map_id for row in found.objects}
     objects = {o.id for o in open_map(short_map).snapshot.objects if o.phase != "tentative"}
@@ -190,9 +192,9 @@ def test_the_command_prints_what_was_found_as_json_and_as_text(short_map, demo_t
 
 
 def test_an_unseen_object_is_missed_for_that_reason(short_map, demo_truth, found, why, explain):
-    unseen = next(missed for missed in why.missed if missed.reason == "on no keyframe")
+    unseen = next(missed for missed in why.missed if missed.best_frame is None)
     story = explain.json(short_map, "--truth", demo_truth, "--object", unseen.truth_id)
-    assert story["sightings"] == []
+    assert (story["sightings"], story["missed"]["reason"]) == ([], "out of reach")
     assert story["missed"]["text"] == f"none of {why.num_keyframes} keyframes shows it"
     good = max(found.objects, key=lambda row: row.iou)
     told = explain.text(short_map, "--truth", demo_truth, "--object", good.truth_id)

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import permutations
 from pathlib import Path
 import numpy as np
@@ -126,6 +126,37 @@ def test_an_object_on_nothing_is_stray_unless_tentative(tmp_path):
     score = score_map(snapshot_of(found(3, 0.0), wrong, early), {}, truth)
     assert score.stray_ids == (5,)
     assert (score.num_objects, score.precision_25) == (2, 0.5)
+
+
+class Fixture(TrackedObject):
+    kind = "fixture"
+
+
+def as_fixture(tracked):
+    return Fixture(**{one.name: getattr(tracked, one.name) for one in fields(tracked)})
+
+
+def test_a_fixture_is_a_thing_or_structure_or_false(tmp_path):
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0))
+    write_glb(box_mesh((20.0, 0.1, 3.0), (90, 90, 90)), tmp_path / "wall.glb")
+    truth = replace(truth, structure=("wall.glb",))
+    thing, away = as_fixture(found(3, 0.0)), as_fixture(found(5, 7.0))
+    # All of it within 3 cm of the wall's faces, which are 10 cm apart.
+    beam = make_object(4, box_mesh((2.0, 0.1, 0.3), (90, 90, 90)), placed(5.0, 0.0, 1.0))
+    score = score_map(snapshot_of(thing, as_fixture(beam), away), {}, truth)
+    assert (score.recall_25, score.fixture_share, score.truth[0].is_fixture) == (1.0, 1.0, True)
+    assert (score.structure_ids, score.precision_25, score.num_objects) == ((4,), 0.5, 3)
+    as_object = score_map(snapshot_of(thing, beam, away), {}, truth)
+    assert (as_object.structure_ids, as_object.precision_25) == ((), pytest.approx(1 / 3))
+
+
+def test_what_is_out_of_reach_lowers_no_reachable_recall(tmp_path):
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 2.0))
+    score = score_map(snapshot_of(found(3, 0.0)), {}, truth, {1: 3, 2: 2})
+    assert (score.recall_25, score.num_reachable, score.reachable_recall_25) == (0.5, 1, 1.0)
+    unknown = score_map(snapshot_of(found(3, 0.0)), {}, truth)
+    assert (unknown.num_reachable, unknown.reachable_recall_25, unknown.truth[0].is_reachable) == (None, None, None)
+    assert score_map(snapshot_of(found(3, 0.0)), {}, truth, {}).reachable_recall_50 is None
 
 
 def test_the_box_is_that_of_the_mesh_where_there_is_one(tmp_path):

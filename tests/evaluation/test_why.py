@@ -58,6 +58,7 @@ def evidence(
     *,
     objects: tuple[TrackedObject, ...] = (),
     decisions: tuple[Decision, ...] = (),
+    num_depth: int = 3,
 ) -> Evidence:
     """What a run saw of the crate; each of its masks went to the track that it names, then came the decisions."""
     book = TrackHistories()
@@ -84,6 +85,7 @@ def evidence(
         boxes={o.id: o.box for o in objects},
         confirm=CONFIRM,
         existence=ExistenceConfig(),
+        depth_on={THING: num_depth},
     )
 
 
@@ -96,7 +98,6 @@ def drop(cause: str, text: str) -> Decision:
 
 
 CASES = {
-    "on no keyframe": ([], (), "none of 20 keyframes shows it"),
     "too small in the image": (
         [sighting(frame, mask(1.0, 1.0), num_px=40) for frame in range(6)],
         (),
@@ -142,7 +143,15 @@ def test_a_missed_thing_has_the_reason_of_most_keyframes(truth, reason):
 
 
 def test_every_reason_is_listed_and_only_boxes_need_an_object():
-    assert set(CASES) | {"box is off"} == set(MISS_REASONS)
+    assert set(CASES) | {"box is off", "out of reach"} == set(MISS_REASONS)
+
+
+def test_a_thing_without_depth_in_three_keyframes_is_out_of_reach(truth):
+    unseen = why_missed(THING, (), evidence(truth, [], num_depth=0))
+    assert (unseen.reason, unseen.text) == ("out of reach", "none of 20 keyframes shows it")
+    missed = why_missed(THING, (7,), evidence(truth, five(mask(0.9, 1.0)), objects=(cube(7, 0.3),), num_depth=2))
+    assert (missed.reason, missed.map_ids) == ("out of reach", (7,))
+    assert "(of 640 x 480): 2; 5 keyframes show it: 5 in a mask of its own" in missed.text
 
 
 def test_a_single_object_says_which_extents_differ(truth):

@@ -24,6 +24,10 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
                 "size_m": (sizes or [1.0] * len(found))[i],
                 "found_25": is_found,
                 "found_50": False,
+                "reachable": i != 1,
+                "as_fixture": is_found and i == 0,
+                "invented_m3": 0.1 * i if is_found else None,
+                "true_m3": 1.0 if is_found else None,
                 "f1_5pct": 0.8 * is_found,
                 "adds_10": is_found,
                 "contained": 0.9 if is_found else None,
@@ -35,6 +39,7 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
         ],
         "objects": [
             {"id": i, "size_m": 1.0, "right_25": right, "right_50": False, "ignored": ignored}
+            | {"fixture": False, "structure": False, "surface_m2": 2.0, "generated_m2": 1.0 * right}
             | {"false_because": None if right or ignored else "structure", "is_ground": not right}
             for i, (right, ignored) in enumerate(objects)
         ],
@@ -78,6 +83,22 @@ def test_small_and_large_things_are_told_apart():
     assert "home_precision_25" not in found, "a map without objects has no precision"
 
 
+def test_reach_fixtures_and_inventions_have_figures_of_their_own():
+    home = record([True, True, False], [(True, False), (False, False), (False, False)])
+    home["objects"][2] |= {"structure": True}
+    home["truth"][0] |= {"found_50": True}
+    found = by_name(of_map("home", home, ""))
+    assert (found["home_recall_25"].of, found["home_recall_50"].of) == ("2 of 3 true objects", "1 of 3 true objects")
+    assert found["home_reachable_recall_25"].of == found["home_reachable_recall_50"].of == "1 of 2 true objects"
+    assert found["home_reachable_recall_25"].left_out.endswith("1 with depth in fewer than three keyframes")
+    assert (found["home_fixture_share"].of, found["home_precision_25"].of) == (
+        "1 of 2 true objects found",
+        "1 of 2 objects",
+    )
+    assert found["home_precision_25"].left_out.endswith("1 fixtures on structure")
+    assert (found["home_generated_share"].value, found["home_invented_volume"].value) == pytest.approx((1 / 6, 0.05))
+
+
 def test_the_ladder_is_the_mean_of_all_worlds_or_absent():
     measured = {by_hand(world): record([True, False], []) for world in WORLDS}
     measured |= {by_hand(world, "masks"): record([True, world == "home"], []) for world in WORLDS}
@@ -101,6 +122,10 @@ def test_figures_of_surfaces_are_of_all_four_worlds():
     assert found["foreign_f1_5pct"].value == pytest.approx(0.4)
     assert (found["foreign_adds_10"].value, found["foreign_tracks_per_object"].value) == (0.5, 1.0)
     assert found["foreign_containment"].value == pytest.approx(0.9)
+    assert (found["things_found_50_over_25"].of, found["foreign_invented_volume"].value) == (
+        "0 of 4 true objects found",
+        0.0,
+    )
     del measured[by_hand("office")]
     assert "foreign_f1_5pct" not in by_name(figures_of(measured))
 
