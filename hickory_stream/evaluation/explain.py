@@ -31,9 +31,10 @@ invented     Volume of layer 2 of the matched that is farther than 5 cm outside 
              A true object holds what air from outside does not reach; floor and walls close meshes that lack a side.
 tracks       Mean number of objects on a true object that has any. An object lies on a true object if more than half of
              its points are within 3 cm of it, and nearer to it than to any other true object.
-labels       Boxes labelled by hand give recall, precision and tracks alone. The IoU is the larger one of those with the
-             box of the whole object and with that of its seen part. An object lies on the smallest label that holds
-             more than half of its points, and is ignored with it.
+labels       Boxes labelled by hand give recall, precision, tracks and generated surface alone. Depth is on a label at
+             the cells whose points lie in its box. The IoU is the larger one of those with the box of the whole object
+             and with that of its seen part. An object lies on the smallest label that holds more than half of its
+             points, and is ignored with it.
 F1           Harmonic mean of recall (true surface samples within a distance of the placed mesh of layer 2) and
              precision (samples of that mesh within it of the true mesh), at 1 cm and at 5 % of the true diameter; the
              true samples are on the surface of the union of the object's parts that is visible from outside. A true
@@ -161,6 +162,8 @@ def verdict(row: ObjectEvaluation) -> str:
         parts.append("good")
     if row.map_id is not None and row.map_id not in row.track_ids:
         parts.append("its match lies mostly on something else")
+    if row.is_fixture:
+        parts.append("as a fixture")
     if len(row.track_ids) > 1:
         parts.append(f"in {len(row.track_ids)} pieces")
     if row.contained is not None and row.contained < 0.999:

@@ -141,6 +141,7 @@ class ObjectStory:
     seen_fraction: float
     counts: bool
     map_id: int | None
+    is_fixture: bool
     iou: float
     missed: Missed | None
     tracks: tuple[TrackStory, ...]
@@ -166,6 +167,7 @@ def story_of(found: Investigation, truth_id: int) -> ObjectStory:
         seen_fraction=next(item.seen_fraction for item in found.truth.objects if item.id == truth_id),
         counts=row.counts,
         map_id=row.map_id,
+        is_fixture=row.is_fixture,
         iou=row.iou,
         missed=why_missed(truth_id, row.track_ids, evidence) if is_missed else None,
         tracks=tuple(

@@ -46,7 +46,8 @@ def object_text(story: ObjectStory) -> str:
     if story.missed is not None:
         answer = f"missed: {story.missed.reason} ({MISS_REASONS[story.missed.reason]})\n{_indented(story.missed.text)}"
     elif story.map_id is not None:
-        answer = f"found: it is #{story.map_id}, box IoU {story.iou:.2f}"
+        kind = ", a fixture" if story.is_fixture else ""
+        answer = f"found: it is #{story.map_id}{kind}, box IoU {story.iou:.2f}"
     else:
         answer = f"not counted: the log shows {story.seen_fraction:.0%} of its surface, 30 % would count"
     return "\n".join([f"{story.truth_id} {story.kind}: {answer}", *_history(story.tracks, story.stretches)])
