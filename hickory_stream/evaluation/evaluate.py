@@ -7,17 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.evaluation.exposed import exposed_samples
-from hickory_stream.evaluation.match import Score, TruthScore, meshes_of, score_map
-from hickory_stream.evaluation.placement import Placement, ViewFrame, placed_truth
+from hickory_stream.evaluation.match import Counts, Score, TruthScore, meshes_of, score_map
+from hickory_stream.evaluation.placement import PlacedTruth, Placement, ViewFrame, placed_truth
 from hickory_stream.evaluation.reach import depth_on_objects
-from hickory_stream.evaluation.surface_score import (
-    SAMPLES,
-    SurfaceScore,
-    TrueSurface,
-    diameter_m,
-    invented_m3,
-    surface_score,
-)
+from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, invented_m3, surface_score
 from hickory_stream.evaluation.trajectory_error import PoseError, pose_error
 from hickory_stream.evaluation.truth import (
     Truth,
@@ -115,55 +108,33 @@ _LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ObjectEvaluation:
+class ObjectEvaluation(TruthScore):
     """Scores of one true object that counts.
 
-    Surface figures compare layer 2 of the match; without a layer 2, F1 is 0 and ADD-S None.
+    Surface figures compare layer 2 of the match; without a layer 2, F1 is 0 and the others None.
     """
 
-    truth_id: int
-    kind: str
     diameter_m: float
     seen_fraction: float
-    #: match at IoU 0.25; `strict_map_id` at 0.5
-    map_id: int | None
-    iou: float
-    strict_map_id: int | None
-    #: all objects that lie mostly on it
-    track_ids: tuple[int, ...]
     f1_1cm: float
     f1_5pct: float
     add_s_m: float | None
     #: share of its `num_seen` visible samples inside layer 4 of the match, None without a layer 4
     contained: float | None
     num_seen: int
-    is_fixture: bool
-    is_reachable: bool | None
-    #: volume of layer 2 farther than 5 cm outside the true object, and the true volume; None without a layer 2
+    #: volume of layer 2 farther than 5 cm outside the true object, and the true volume
     invented_m3: float | None
     true_m3: float | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Evaluation:
+class Evaluation(Counts):
     """Scores of a map; plain means are over all true objects that count, `matched_*` over those with a match.
 
     `containment` is over visible samples of objects with layer 4; `poses` and `mask_purity` need kept views.
     `placement` moves the truth into the map's world if the log's odometry has its own origin.
     """
 
-    num_truth: int
-    num_reachable: int | None
-    num_objects: int
-    reachable_recall_25: float | None
-    reachable_recall_50: float | None
-    fixture_share: float | None
-    generated_share: float | None
-    recall_25: float
-    precision_25: float
-    recall_50: float
-    precision_50: float
-    tracks_per_object: float
     f1_1cm: float
     f1_5pct: float
     matched_f1_5pct: float
@@ -176,9 +147,6 @@ class Evaluation:
     mask_purity: float | None
     median_diameter_m: float
     objects: tuple[ObjectEvaluation, ...]
-    stray_ids: tuple[int, ...]
-    ignored_ids: tuple[int, ...]
-    structure_ids: tuple[int, ...]
     placement: Placement | None
 
 
@@ -202,8 +170,7 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
         for row in detection.truth
         if row.counts
     )
-    purity_of_masks = _mask_purity(saved, truth, placed.views)
-    return _summary(detection, rows, _contained(rows, seen), _poses(placed.views), purity_of_masks, placed.placement)
+    return _summary(detection, rows, placed, _mask_purity(saved, truth, placed.views))
 
 
 def placed_mesh(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> Mesh | None:
@@ -244,29 +211,21 @@ def _object_row(
 ) -> ObjectEvaluation:
     tracked = by_id[row.map_id] if row.map_id is not None else None
     mesh = placed_mesh(tracked, meshes) if tracked is not None else None
-    score: SurfaceScore | None = None
-    contained, invented, volume = None, None, None
-    if tracked is not None and mesh is not None and tracked.shape is not None:
-        score = surface_score(true, mesh, np.random.default_rng(row.truth_id))
-        invented, volume = invented_m3(mesh, true.mesh, walls)
-        if seen.any() and len(tracked.shape.inflated):
+    score = surface_score(true, mesh, np.random.default_rng(row.truth_id)) if mesh is not None else None
+    invented, volume = invented_m3(mesh, true.mesh, walls) if mesh is not None else (None, None)
+    contained = None
+    if tracked is not None and tracked.shape is not None and mesh is not None and seen.any():
+        if len(tracked.shape.inflated):
             contained = float(is_inside(tracked.shape.inflated, true.samples[seen]).mean())
     return ObjectEvaluation(
-        truth_id=row.truth_id,
-        kind=row.kind,
+        **{field.name: getattr(row, field.name) for field in fields(TruthScore)},
         diameter_m=diameter_m(true.mesh.vertices),
         seen_fraction=seen_fraction,
-        map_id=row.map_id,
-        iou=row.iou,
-        strict_map_id=row.strict_map_id,
-        track_ids=row.track_ids,
         f1_1cm=score.f1_1cm if score is not None else 0.0,
         f1_5pct=score.f1_5pct if score is not None else 0.0,
         add_s_m=score.add_s_m if score is not None else None,
         contained=contained,
         num_seen=int(seen.sum()),
-        is_fixture=row.is_fixture,
-        is_reachable=row.is_reachable,
         invented_m3=invented,
         true_m3=volume,
     )
@@ -275,38 +234,35 @@ def _object_row(
 def _summary(
     detection: Score,
     rows: tuple[ObjectEvaluation, ...],
-    containment: float | None,
-    poses: PoseError | None,
+    placed: PlacedTruth,
     mask_purity: float | None,
-    placement: Placement | None,
 ) -> Evaluation:
     matched = [row.f1_5pct for row in rows if row.map_id is not None]
-    true_m3 = sum(row.true_m3 or 0.0 for row in rows)
+    inside = [(row.contained * row.num_seen, row.num_seen) for row in rows if row.contained is not None]
 
     def success(limit: float) -> float:
         return float(np.mean([row.add_s_m is not None and row.add_s_m < limit * row.diameter_m for row in rows]))
 
     return Evaluation(
-        **{field.name: getattr(detection, field.name) for field in fields(Score) if field.name != "truth"},
+        **{field.name: getattr(detection, field.name) for field in fields(Counts)},
         f1_1cm=float(np.mean([row.f1_1cm for row in rows])),
         f1_5pct=float(np.mean([row.f1_5pct for row in rows])),
         matched_f1_5pct=float(np.mean(matched)) if matched else 0.0,
         adds_10=success(_LOOSE_ADD_S),
         adds_05=success(_STRICT_ADD_S),
-        containment=containment,
-        invented_volume=sum(row.invented_m3 or 0.0 for row in rows) / true_m3 if true_m3 else None,
-        poses=poses,
+        containment=_quotient(inside),
+        invented_volume=_quotient([(row.invented_m3 or 0.0, row.true_m3 or 0.0) for row in rows]),
+        poses=_poses(placed.views),
         mask_purity=mask_purity,
         median_diameter_m=float(np.median([row.diameter_m for row in rows])),
         objects=rows,
-        placement=placement,
+        placement=placed.placement,
     )
 
 
-def _contained(rows: tuple[ObjectEvaluation, ...], seen: Mapping[int, NDArray[np.bool_]]) -> float | None:
-    weights = [(int(seen[row.truth_id].sum()), row.contained) for row in rows if row.contained is not None]
-    total = sum(count for count, _ in weights)
-    return sum(count * share for count, share in weights) / total if total else None
+def _quotient(pairs: Sequence[tuple[float, float]]) -> float | None:
+    total = sum(whole for _, whole in pairs)
+    return sum(part for part, _ in pairs) / total if total else None
 
 
 def _poses(views: Sequence[ViewFrame]) -> PoseError | None:

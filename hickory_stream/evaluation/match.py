@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.surface_score import generated_m2
+from hickory_stream.evaluation.surface_score import area_m2, generated_m2
 from hickory_stream.evaluation.truth import Truth, TruthObject, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.geometry.mesh import Mesh, face_areas_m2
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.pictures.raycast import Scene, Surface, surface_of_mesh
@@ -73,8 +73,8 @@ class TruthScore:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Score:
-    """Comparison of a map with truth.
+class Counts:
+    """Figures of boxes.
 
     Recall is the matched share of the `num_truth` true objects that count, or of the `num_reachable` (None without a
     journal); precision of the `num_objects`.
@@ -83,25 +83,31 @@ class Score:
     num_truth: int
     num_reachable: int | None
     num_objects: int
-    reachable_recall_25: float | None
-    reachable_recall_50: float | None
     recall_25: float
     recall_50: float
+    reachable_recall_25: float | None
+    reachable_recall_50: float | None
     precision_25: float
     precision_50: float
     #: mean number of mapped objects on a true object that has any
     tracks_per_object: float
-    truth: tuple[TruthScore, ...]
+    #: share of the matched true objects whose match is a fixture
+    fixture_share: float | None
+    #: share of the surface of layer 2 that is generated
+    generated_share: float | None
     #: objects on no true object
     stray_ids: tuple[int, ...]
     #: objects on ignored truth; unless matched, they do not change precision
     ignored_ids: tuple[int, ...]
     #: fixtures on true structure without a match; they do not change precision
     structure_ids: tuple[int, ...]
-    #: share of the matched true objects whose match is a fixture
-    fixture_share: float | None
-    #: share of the surface of layer 2 that is generated
-    generated_share: float | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Score(Counts):
+    """Comparison of a map with truth."""
+
+    truth: tuple[TruthScore, ...]
 
 
 def match_boxes(
@@ -154,23 +160,19 @@ def score_map(
     ]
     scene, all_of_it = Scene(surfaces), Scene([*surfaces, *structure_surfaces(truth)])
     return score_of(
-        true,
-        snapshot,
-        meshes,
-        owner_of=lambda points_world: _owner(points_world, scene),
+        true, snapshot, meshes, depth_on, owner_of=lambda points_world: _owner(points_world, scene),
         is_structure=lambda fixture: _lies_on_structure(fixture, all_of_it),
-        depth_on=depth_on,
-    )
+    )  # fmt: skip
 
 
 def score_of(
     true: Sequence[TrueBox],
     snapshot: MapSnapshot,
     meshes: Mapping[int, Mesh],
+    depth_on: Mapping[int, int] | None,
     *,
     owner_of: Callable[[NDArray[np.float32]], int | None],
     is_structure: Callable[[TrackedObject], bool],
-    depth_on: Mapping[int, int] | None,
 ) -> Score:
     """Return the score of a map against boxes.
 
@@ -188,10 +190,8 @@ def score_of(
     aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
     aside |= {match.map_index for match in _matches(_best_ious(ignored, boxes), LOOSE_IOU)}
     fixtures = {tracked.id for tracked in objects if is_fixture(tracked)}
-    right = {match.map_index for match in loose}
-    structure = {
-        i for i, one in enumerate(objects) if one.id in fixtures and i not in right | aside and is_structure(one)
-    }
+    other = {i for i, one in enumerate(objects) if one.id in fixtures} - aside - {match.map_index for match in loose}
+    structure = {i for i in other if is_structure(objects[i])}
     of_truth = {counting[match.truth_index].id: (objects[match.map_index].id, match.iou) for match in loose}
     of_strict = {counting[match.truth_index].id: objects[match.map_index].id for match in strict}
     rows = tuple(
@@ -210,7 +210,7 @@ def score_of(
     )
     counted = [row for row in rows if row.counts]
     within = [row for row in counted if row.is_reachable]
-    surface_m2 = sum(float(face_areas_m2(meshes[one.id]).sum()) for one in objects if one.id in meshes)
+    shapes = [meshes[one.id] for one in objects if one.id in meshes]
     tracks = [len(row.track_ids) for row in counted if row.track_ids]
     return Score(
         num_truth=len(counting),
@@ -228,9 +228,7 @@ def score_of(
         ignored_ids=tuple(objects[i].id for i in sorted(aside)),
         structure_ids=tuple(objects[i].id for i in sorted(structure)),
         fixture_share=_share(row.is_fixture for row in counted if row.map_id is not None),
-        generated_share=sum(generated_m2(meshes[one.id]) for one in objects if one.id in meshes) / surface_m2
-        if surface_m2
-        else None,
+        generated_share=sum(map(generated_m2, shapes)) / sum(map(area_m2, shapes)) if shapes else None,
     )
 
 
@@ -274,23 +272,24 @@ def structure_surfaces(truth: Truth) -> list[Surface]:
     return [surface_of_mesh(mesh, STRUCTURE) for mesh in structure_meshes(truth)]
 
 
-def _lies_on_structure(fixture: TrackedObject, scene: Scene) -> bool:
-    """Return whether most points are nearest to structure, and within one sigma of depth at the farthest view."""
-    some = fixture.points_world[:: max(1, len(fixture.points_world) // _MAX_POINTS)]
-    eyes = np.array([view.world_from_camera[:3, 3] for view in fixture.views]).reshape(-1, 3)
-    depth_m = np.linalg.norm(eyes - some.mean(axis=0), axis=1).astype(np.float32)
-    reach_m = DepthSensor().sigma_m(depth_m).max(initial=SURFACE_REACH_M)
+def shares_on(points_world: NDArray[np.float32], scene: Scene, reach_m: float = SURFACE_REACH_M) -> dict[int, float]:
+    """Return the share of (N, 3) points that are nearest to each owner's surface, and within reach of it."""
+    some = points_world[:: max(1, len(points_world) // _MAX_POINTS)]
     distance_m, owners = scene.nearest(some)
-    return bool(2 * np.count_nonzero((owners == STRUCTURE) & (distance_m <= reach_m)) > len(some))
+    ids, counts = np.unique(owners[distance_m <= reach_m], return_counts=True)
+    return {int(i): float(count / len(some)) for i, count in zip(ids, counts, strict=True)}
+
+
+def _lies_on_structure(fixture: TrackedObject, scene: Scene) -> bool:
+    # The reach is one sigma of depth at the farthest view, by the law of a camera of which nothing is known.
+    eyes = np.array([view.world_from_camera[:3, 3] for view in fixture.views]).reshape(-1, 3)
+    depth_m = np.linalg.norm(eyes - fixture.box.center, axis=1).astype(np.float32)
+    reach_m = float(DepthSensor().sigma_m(depth_m).max(initial=SURFACE_REACH_M))
+    return shares_on(fixture.points_world, scene, reach_m).get(STRUCTURE, 0.0) > 0.5
 
 
 def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
-    some = points_world[:: max(1, len(points_world) // _MAX_POINTS)]
-    distance_m, owners = true_scene.nearest(some)
-    ids, counts = np.unique(owners[distance_m <= SURFACE_REACH_M], return_counts=True)
-    if len(ids) == 0 or 2 * counts.max() <= len(some):
-        return None
-    return int(ids[np.argmax(counts)])
+    return next((i for i, share in shares_on(points_world, true_scene).items() if share > 0.5), None)
 
 
 def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:

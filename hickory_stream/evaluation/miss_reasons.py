@@ -163,9 +163,6 @@ def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> M
         return _swallowed(truth_id, swallower, message, evidence)
     needed = evidence.fewest_sightings
     if len(large) < needed:
-        if len(seen) < needed:
-            text = f"{message}; {evidence.what_confirms}"
-            return _missed(truth_id, "too few sightings", text, (), evidence)
         most = max(sighting.num_px for sighting in seen)
         often = f"it has that in {len(large)} of {len(seen)} keyframes, at most {most}"
         text = f"98 % of the masks have {smallest:.0f} pixels and more, {often}"

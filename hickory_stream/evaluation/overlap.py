@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.evaluation.match import STRUCTURE, SURFACE_REACH_M, structure_surfaces
+from hickory_stream.evaluation.match import STRUCTURE, SURFACE_REACH_M, shares_on, structure_surfaces
 from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.mesh import sample_surface
@@ -79,9 +79,6 @@ class Overlap:
 
 
 def _lies_on(tracked: TrackedObject, scene: Scene) -> LiesOn:
-    some = tracked.points_world[:: max(1, len(tracked.points_world) // _MAX_POINTS)]
-    distance_m, owners = scene.nearest(some)
-    ids, counts = np.unique(owners[distance_m <= SURFACE_REACH_M], return_counts=True)
-    shares = {int(i): float(count / max(len(some), 1)) for i, count in zip(ids, counts, strict=True)}
+    shares = shares_on(tracked.points_world, scene)
     structure = shares.pop(STRUCTURE, 0.0)
     return LiesOn(things=shares, structure=structure, nothing=max(0.0, 1.0 - structure - sum(shares.values())))

@@ -6,7 +6,6 @@ it: 64 of 640 x 480 pixels, the smallest mask. Neither masks nor the configurati
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorded_steps
 from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.perception.coarse import coarse_camera, sampled_pixels
-from hickory_stream.records import MapSnapshot
 
 _CELLS = 4
 
@@ -38,7 +36,7 @@ def depth_on_objects(saved: SavedMap, truth: Truth) -> Counter[int] | None:
         shown = shown[sampled_pixels(shown.shape, keyframe.coarse.stride_px)][: len(depth), : depth.shape[1]]
         return Counter(shown[depth[: len(shown), : shown.shape[1]] > 0].tolist())
 
-    return _keyframes(saved.folder, saved.snapshot, cells_of)
+    return _keyframes(saved, cells_of)
 
 
 def depth_on_labels(saved: SavedMap, labels: Sequence[TrueBox]) -> Counter[int] | None:
@@ -50,15 +48,13 @@ def depth_on_labels(saved: SavedMap, labels: Sequence[TrueBox]) -> Counter[int] 
         world = apply(keyframe.map_from_odometry @ keyframe.observed.world_from_camera, points)
         return Counter({one.id: int(one.boxes[0].contains(world, SURFACE_REACH_M).sum()) for one in labels})
 
-    return _keyframes(saved.folder, saved.snapshot, cells_of)
+    return _keyframes(saved, cells_of)
 
 
-def _keyframes(
-    path: Path, final: MapSnapshot, cells_of: Callable[[RecordedKeyframe], Counter[int]]
-) -> Counter[int] | None:
+def _keyframes(saved: SavedMap, cells_of: Callable[[RecordedKeyframe], Counter[int]]) -> Counter[int] | None:
     keyframes: Counter[int] = Counter()
     try:
-        for step in recorded_steps(path, final):
+        for step in recorded_steps(saved.folder, saved.snapshot):
             if step.keyframe is not None:
                 keyframes.update(i for i, cells in cells_of(step.keyframe).items() if cells >= _CELLS)
     except MapFolderError:

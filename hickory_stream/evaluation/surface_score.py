@@ -76,6 +76,11 @@ def diameter_m(points: NDArray[Any]) -> float:
     return float(pdist(corners).max()) if len(corners) > 1 else 0.0
 
 
+def area_m2(mesh: Mesh) -> float:
+    """Return the area of the surface."""
+    return float(face_areas_m2(mesh).sum())
+
+
 def generated_m2(mesh: Mesh) -> float:
     """Return the area of the surface that is generated: of each face, the share of its vertices."""
     return float((face_areas_m2(mesh) * (1.0 - mesh.is_seen[mesh.faces].mean(axis=1))).sum())
@@ -110,9 +115,8 @@ class Filled:
         reach_m = self._cell_m * (_HALF_CELL + np.sqrt(3) * (_BLOCK - 1) / 2)
         is_near = (scene.nearest(middles)[0] <= reach_m).reshape(blocks).repeat(_BLOCK, 0).repeat(_BLOCK, 1)
         is_near = is_near.repeat(_BLOCK, 2)[tuple(slice(count) for count in shape)]
-        is_near[is_near] = (
-            scene.nearest(self._low + self._cell_m * np.argwhere(is_near))[0] <= _HALF_CELL * self._cell_m
-        )
+        centers = self._low + self._cell_m * np.argwhere(is_near)
+        is_near[is_near] = scene.nearest(centers)[0] <= _HALF_CELL * self._cell_m
         return np.asarray(is_near)
 
     def is_air(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -128,12 +128,9 @@ def test_an_object_on_nothing_is_stray_unless_tentative(tmp_path):
     assert (score.num_objects, score.precision_25) == (2, 0.5)
 
 
-class Fixture(TrackedObject):
-    kind = "fixture"
-
-
 def as_fixture(tracked):
-    return Fixture(**{one.name: getattr(tracked, one.name) for one in fields(tracked)})
+    kind = type("Fixture", (TrackedObject,), {"kind": "fixture"})
+    return kind(**{one.name: getattr(tracked, one.name) for one in fields(tracked)})
 
 
 def test_a_fixture_is_a_thing_or_structure_or_false(tmp_path):

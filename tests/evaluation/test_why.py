@@ -185,20 +185,9 @@ def test_a_merged_thing_is_one_by_masks_or_by_tracks(truth, purity, reason):
         assert "its track #7 was merged in frame 90: seen as one" in missed.text
 
 
-@pytest.mark.parametrize(("count", "is_enough"), [(1, False), (2, True)])
-def test_two_sightings_can_be_enough(truth, count, is_enough):
-    rejected = [sighting(i, Part(where="rejected mask", share=0.8, reason="3 points")) for i in range(count)]
-    reason = why_missed(THING, (), evidence(truth, rejected)).reason
-    assert reason == ("mask rejected" if is_enough else "too few sightings")
-
-
-def test_what_is_hardly_on_a_keyframe_has_too_few_sightings(truth):
-    missed = why_missed(THING, (), evidence(truth, [sighting(0, mask(0.9, 1.0))]))
-    assert (missed.reason, missed.text) == (
-        "too few sightings",
-        "1 keyframe shows it: 1 in a mask of its own; a track takes evidence of 4: 2 for a sighting from another "
-        "place, 0.7 for one more from the same, less for what is small or has little depth",
-    )
+def test_two_sightings_can_be_enough(truth):
+    rejected = [sighting(i, Part(where="rejected mask", share=0.8, reason="3 points")) for i in range(2)]
+    assert why_missed(THING, (), evidence(truth, rejected)).reason == "mask rejected"
 
 
 @pytest.mark.parametrize(

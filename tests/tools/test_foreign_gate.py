@@ -24,8 +24,8 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
                 "size_m": (sizes or [1.0] * len(found))[i],
                 "found_25": is_found,
                 "found_50": False,
-                "reachable": i != 1,
-                "as_fixture": is_found and i == 0,
+                "is_reachable": i != 1,
+                "is_fixture": is_found and i == 0,
                 "invented_m3": 0.1 * i if is_found else None,
                 "true_m3": 1.0 if is_found else None,
                 "f1_5pct": 0.8 * is_found,
@@ -39,7 +39,7 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
         ],
         "objects": [
             {"id": i, "size_m": 1.0, "right_25": right, "right_50": False, "ignored": ignored}
-            | {"fixture": False, "structure": False, "surface_m2": 2.0, "generated_m2": 1.0 * right}
+            | {"is_structure": False, "surface_m2": 2.0, "generated_m2": 1.0 * right}
             | {"false_because": None if right or ignored else "structure", "is_ground": not right}
             for i, (right, ignored) in enumerate(objects)
         ],
@@ -85,7 +85,7 @@ def test_small_and_large_things_are_told_apart():
 
 def test_reach_fixtures_and_inventions_have_figures_of_their_own():
     home = record([True, True, False], [(True, False), (False, False), (False, False)])
-    home["objects"][2] |= {"structure": True}
+    home["objects"][2] |= {"is_structure": True}
     home["truth"][0] |= {"found_50": True}
     found = by_name(of_map("home", home, ""))
     assert (found["home_recall_25"].of, found["home_recall_50"].of) == ("2 of 3 true objects", "1 of 3 true objects")

@@ -21,7 +21,6 @@ LARGE_M = 0.4
 _OBJECTS = "bootstrap over true objects"
 _MIXED = "home and bookstore tuned on, office and warehouse reported"
 _TO_STRUCTURE = ("taken for structure", "dropped as structure")
-_VOLUME = "volume of the true objects found"
 _LITTLE_SEEN = "{} true objects of which under 30 % was seen"
 
 
@@ -34,14 +33,13 @@ def figures_of(measured: Measured) -> list[Figure]:
             figures += of_map(name, record, ROLES[part.world])
     figures += _of_ladder(measured)
     figures += _of_robot(measured)
-    by_hand = [_a_by_hand(measured, world) for world in WORLDS]
-    figures += _of_structure(by_hand)
-    figures += _of_all_things(by_hand)
-    figures += _of_shapes("foreign", by_hand, _MIXED)
+    by_hand = [record for world in WORLDS if (record := _a_by_hand(measured, world)) is not None]
+    if len(by_hand) == len(WORLDS):
+        figures += _of_structure(_joined(by_hand)) + _of_shapes("foreign", _joined(by_hand), _MIXED)
     own, streets = ([measured[Part(world=n)] for n in names if Part(world=n) in measured] for names in (OWN, OUTDOORS))
     if own:
         figures += of_map("own", _joined(own), ROLES["own1"])
-        figures += [one for one in _of_shapes("own", own, ROLES["own1"]) if one.name == "own_f1_5pct"]
+        figures += [one for one in _of_shapes("own", _joined(own), ROLES["own1"]) if one.name == "own_f1_5pct"]
     figures += _of_outdoors(streets)
     for name, of_record in (
         ("kitchen", _of_kitchen),
@@ -57,7 +55,7 @@ def figures_of(measured: Measured) -> list[Figure]:
 def of_map(name: str, record: Record, role: str) -> list[Figure]:
     """Return recall and precision of a map, for all things and for large and small ones apart."""
     truth, objects = record["truth"], record["objects"]
-    counted, fixtures = _counted(objects), sum(o["structure"] for o in objects)
+    counted, fixtures = _counted(objects), sum(o["is_structure"] for o in objects)
     unseen = _LITTLE_SEEN.format(record["little_seen"])
     ignored = f"{len(objects) - len(counted) - fixtures} objects of true ones of which under 30 % was seen"
     ignored += f", {fixtures} fixtures on structure" if fixtures else ""
@@ -72,14 +70,14 @@ def of_map(name: str, record: Record, role: str) -> list[Figure]:
         mine = filter(belongs, counted)
         figures += _share(f"{name}_{group}precision_25", mine, "right_25", "objects", ignored, role)
     figures += _share(f"{name}_recall_50", truth, "found_50", "true objects", unseen, role)
-    within = [row for row in truth if row["reachable"]]
+    within = [row for row in truth if row["is_reachable"]]
     far = f"{unseen}, {len(truth) - len(within)} with depth in fewer than three keyframes"
     for level in ("25", "50"):
         figures += _share(f"{name}_reachable_recall_{level}", within, f"found_{level}", "true objects", far, role)
     found = [row for row in truth if row["found_25"]]
-    figures += _share(f"{name}_fixture_share", found, "as_fixture", "true objects found", "", role, "same")
-    figures += _ratio(f"{name}_generated_share", objects, "generated_m2", "surface_m2", "surface of objects", role)
-    return figures + _ratio(f"{name}_invented_volume", truth, "invented_m3", "true_m3", _VOLUME, role)
+    figures += _share(f"{name}_fixture_share", found, "is_fixture", "true objects found", "", role, "same")
+    figures += _ratio(f"{name}_generated_share", objects, "generated_m2", "surface_m2", "surface of {} objects", role)
+    return figures + _invented(name, truth, role)
 
 
 def reasons(record: Record) -> list[str]:
@@ -96,13 +94,17 @@ def reasons(record: Record) -> list[str]:
 
 
 def _counted(objects: Iterable[Record]) -> list[Record]:
-    return [row for row in objects if row["right_25"] or not (row["ignored"] or row["structure"])]
+    return [row for row in objects if row["right_25"] or not (row["ignored"] or row["is_structure"])]
 
 
 def _ratio(name: str, rows: Iterable[Record], part: str, whole: str, of: str, role: str) -> list[Figure]:
     pairs = [(row[part], row[whole]) for row in rows if row[whole]]
     more = {"statistic": _quotient, "role": role, "interval_by": "bootstrap over objects"}
-    return [mean(name, pairs, "", "lower", f"{of} ({len(pairs)})", **more)] if pairs else []
+    return [mean(name, pairs, "", "lower", of.format(len(pairs)), **more)] if pairs else []
+
+
+def _invented(name: str, truth: Iterable[Record], role: str) -> list[Figure]:
+    return _ratio(f"{name}_invented_volume", truth, "invented_m3", "true_m3", "volume of {} true objects found", role)
 
 
 def _share(
@@ -172,11 +174,7 @@ def _statistic(
     return figure(name, statistic(groups), "", "lower", of, left_out=left_out, role=_MIXED, **interval)
 
 
-def _of_structure(records: Sequence[Record | None]) -> list[Figure]:
-    known = [record for record in records if record is not None]
-    if len(known) < len(records):
-        return []
-    every = _joined(known)
+def _of_structure(every: Record) -> list[Figure]:
     truth = [{"lost": row["missed_because"] in _TO_STRUCTURE} for row in every["truth"]]
     objects = [{"false": row["false_because"] == "structure"} for row in _counted(every["objects"])]
     unseen = _LITTLE_SEEN.format(every["little_seen"])
@@ -186,20 +184,9 @@ def _of_structure(records: Sequence[Record | None]) -> list[Figure]:
     ]
 
 
-def _of_all_things(records: Sequence[Record | None]) -> list[Figure]:
-    known = [record for record in records if record is not None]
-    if len(known) < len(records):
-        return []
-    truth = _joined(known)["truth"]
-    found = [row for row in truth if row["found_25"]]
-    figures = _share("things_found_50_over_25", found, "found_50", "true objects found", "the missed", _MIXED)
-    return figures + _ratio("foreign_invented_volume", truth, "invented_m3", "true_m3", _VOLUME, _MIXED)
-
-
-def _of_shapes(name: str, records: Sequence[Record | None], role: str) -> list[Figure]:
-    known = [record for record in records if record is not None]
-    truth = [row for record in known for row in record["truth"]]
-    if len(known) < len(records) or not truth:
+def _of_shapes(name: str, every: Record, role: str) -> list[Figure]:
+    truth = every["truth"]
+    if not truth:
         return []
     adds = [float(row["adds_10"]) for row in truth]
     tracks = [float(row["tracks"]) for row in truth if row["tracks"]]
@@ -211,10 +198,15 @@ def _of_shapes(name: str, records: Sequence[Record | None], role: str) -> list[F
         ("tracks_per_object", tracks, np.mean, f"{len(tracks)} true objects with a track", "lower"),
     )
     more = {"left_out": "true objects of which under 30 % was seen", "interval_by": _OBJECTS, "role": role}
+    found = [row for row in truth if row["found_25"]]
     return [
-        mean(f"{name}_{kind}", values, "", better, of, statistic=statistic, **more)
-        for kind, values, statistic, of, better in rows
-        if values
+        *(
+            mean(f"{name}_{kind}", values, "", better, of, statistic=statistic, **more)
+            for kind, values, statistic, of, better in rows
+            if values
+        ),
+        *_share("things_found_50_over_25", found, "found_50", "true objects found", "the missed", role),
+        *_invented(name, truth, role),
     ]
 
 

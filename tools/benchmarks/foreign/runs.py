@@ -3,7 +3,7 @@
 import json
 import tempfile
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,12 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.labels import load_labels, score_labels
-from hickory_stream.evaluation.match import MIN_SEEN, best_box, is_fixture, meshes_of
+from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.reach import depth_on_labels
-from hickory_stream.evaluation.surface_score import generated_m2
+from hickory_stream.evaluation.surface_score import area_m2, generated_m2
 from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.evaluation.why import NoWhy, reasons_of
-from hickory_stream.geometry.mesh import face_areas_m2
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter
@@ -57,19 +56,12 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
     return {
         "truth": [
             {
+                **asdict(row),
                 "id": row.truth_id,
-                "kind": row.kind,
                 "size_m": round(row.diameter_m, 4),
                 "found_25": row.map_id is not None,
                 "found_50": row.strict_map_id is not None,
-                "reachable": row.is_reachable,
-                "as_fixture": row.is_fixture,
-                "invented_m3": row.invented_m3,
-                "true_m3": row.true_m3,
-                "f1_5pct": row.f1_5pct,
                 "adds_10": row.add_s_m is not None and row.add_s_m < 0.1 * row.diameter_m,
-                "contained": row.contained,
-                "num_seen": row.num_seen,
                 "tracks": len(row.track_ids),
                 "missed_because": reasons.get(row.truth_id),
             }
@@ -82,9 +74,8 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "right_25": item.id in matched,
                 "right_50": item.id in strict,
                 "ignored": item.id in found.ignored_ids,
-                "fixture": is_fixture(item),
-                "structure": item.id in found.structure_ids,
-                "surface_m2": float(face_areas_m2(meshes[item.id]).sum()) if item.id in meshes else 0.0,
+                "is_structure": item.id in found.structure_ids,
+                "surface_m2": area_m2(meshes[item.id]) if item.id in meshes else 0.0,
                 "generated_m2": generated_m2(meshes[item.id]) if item.id in meshes else 0.0,
                 "false_because": origins.get(item.id),
                 "is_ground": item.id in ground,
