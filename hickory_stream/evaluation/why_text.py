@@ -36,9 +36,8 @@ def false_title(why: Why) -> str:
     """Return the counts of false, all and ignored objects."""
     aside = f"; {why.num_aside} more are of true objects that do not count" if why.num_aside else ""
     aside += f"; {why.num_structure} more are fixtures on structure" if why.num_structure else ""
-    return (
-        f"{len(why.false)} of {why.num_objects - why.num_aside - why.num_structure} objects are no true object{aside}"
-    )
+    counted = why.num_objects - why.num_aside - why.num_structure
+    return f"{len(why.false)} of {counted} objects are no true object{aside}"
 
 
 def object_text(story: ObjectStory) -> str:
