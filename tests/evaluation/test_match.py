@@ -129,6 +129,8 @@ def test_an_object_on_nothing_is_stray_unless_tentative(tmp_path):
 
 
 def as_fixture(tracked):
+    if hasattr(tracked, "kind"):
+        return replace(tracked, kind="fixture")
     kind = type("Fixture", (TrackedObject,), {"kind": "fixture"})
     return kind(**{one.name: getattr(tracked, one.name) for one in fields(tracked)})
 
