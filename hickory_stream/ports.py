@@ -133,6 +133,11 @@ class SourceAround:
         self._source = source
 
     @property
+    def played(self) -> Source:
+        """The other source."""
+        return self._source
+
+    @property
     def info(self) -> SourceInfo:
         """The other source's."""
         return self._source.info

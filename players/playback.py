@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -142,7 +142,7 @@ class PlayedSource(SourceAround):
         info = self._source.info
         return info if self._start_s <= 0 and self._end_s is None else replace(info, num_frames=None)
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self) -> Generator[RawFrame]:
         """Yield the frames when they are due; the first one after a seek back is marked, and has an earlier stamp.
 
         A jump of the odometry in a skipped part moves to the next frame. Raises `InputError`: the log is too short.

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.json_text import dumps_exactly
@@ -63,7 +63,7 @@ def outcome_of(task: LogTask) -> LogOutcome:
     try:
         _wait_for_lock(task)
         resumes = _is_begun(task)
-        played = _mapped(task, resumes=resumes)
+        played, warnings = _mapped(task, resumes=resumes)
     except HickoryError as error:
         state: State = "disk full" if _is_disk_full(error) else "failed"
         return LogOutcome(name=task.name, state=state, reason=" ".join(str(error).split()), worker=worker)
@@ -73,7 +73,8 @@ def outcome_of(task: LogTask) -> LogOutcome:
         )
     if not played.finished_cleanly:
         return LogOutcome(name=task.name, state="failed", reason="stopped", worker=worker)
-    return _told(task, played, worker, time.monotonic() - started_s, resumes=resumes)
+    outcome = _told(task, played, worker, time.monotonic() - started_s, resumes=resumes)
+    return replace(outcome, reason="; ".join(filter(None, [*warnings, outcome.reason])))
 
 
 def _is_begun(task: LogTask) -> bool:
@@ -85,14 +86,16 @@ def _is_begun(task: LogTask) -> bool:
     return not read_manifest(task.out).finished_cleanly
 
 
-def _mapped(task: LogTask, *, resumes: bool) -> Played:
+def _mapped(task: LogTask, *, resumes: bool) -> tuple[Played, list[str]]:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.sinks.disk_sink import DiskSink
     from players import open_from_note
+    from players.doctor.motion_mends import check_motion
 
     source = open_from_note(dict(task.note), keyframes=task.mapper.keyframes)
     try:
+        warnings = [] if resumes else check_motion(source, task.note, anyway=task.anyway)
         if resumes:
             mapper = Mapper.resuming(task.out, machine=task.mapper.run)
         else:
@@ -101,7 +104,7 @@ def _mapped(task: LogTask, *, resumes: bool) -> Played:
         def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
             return [(DiskSink(folder, task.disk), True)]
 
-        return play(mapper, source, sinks=sinks, progress=lambda _: None, source_note=dict(task.note))
+        return play(mapper, source, sinks=sinks, progress=lambda _: None, source_note=dict(task.note)), warnings
     finally:
         source.close()
 

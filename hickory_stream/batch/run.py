@@ -84,6 +84,7 @@ class BatchPlan:
     workers: int = 0
     cluster: str = ""
     merges: bool = False
+    anyway: bool = False
 
 
 def run_batch(plan: BatchPlan, tell: Callable[[str], None] = lambda text: None) -> BatchResult:
@@ -153,6 +154,7 @@ def _task(plan: BatchPlan, folder: BatchFolder, name: str, uri: str) -> LogTask:
         mapper=plan.mapper,
         disk=plan.disk,
         software=software(),
+        anyway=plan.anyway,
     )
 
 

@@ -37,6 +37,8 @@ class LogTask:
     disk: DiskSinkConfig
     #: required version
     software: str
+    #: maps a log whose poses and depth do not fit each other
+    anyway: bool = False
     #: processors for its processes, () for all
     cores: tuple[int, ...] = ()
 

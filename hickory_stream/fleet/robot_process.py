@@ -45,6 +45,7 @@ class RobotTask:
     most_s: float | None
     patience_s: float
     debug: bool
+    anyway: bool = False
 
 
 def main(task: RobotTask, connection: Connection) -> None:
@@ -90,6 +91,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
     from hickory_stream.map_folder.history.replay import show_until_resumed
     from hickory_stream.map_folder.manifest import is_map_folder, read_json
     from hickory_stream.sinks.disk_sink import DiskSink
+    from players.doctor.motion_mends import check_motion
     from players.doctor.report import damage_line
 
     span = _Span()
@@ -106,6 +108,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
         )
     source, note = _opened(task)
     try:
+        warnings = [] if resumes or task.robot.is_live else check_motion(source, note, anyway=task.anyway)
         streams = (f"  {role}: {topic}" for role, topic in source.info.streams)
         link.send(Opened(text=(f"{source.info.kind}: {source.info.uri}", *streams)))
         if resumes:
@@ -144,7 +147,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
         digest=played.digest,
         start_ns=span.start_ns,
         end_ns=span.end_ns,
-        notes=tuple(text for text in (damage, empty, *played.lost_outputs) if text),
+        notes=tuple(text for text in (*warnings, damage, empty, *played.lost_outputs) if text),
     )
 
 

@@ -44,6 +44,7 @@ class FleetPlan:
     rerun: RerunConfig = field(default_factory=RerunConfig)
     viewer: ViewerChoice = field(default_factory=lambda: ViewerChoice(kind=ViewerKind.NONE))
     debug: bool = False
+    anyway: bool = False
 
     def map_of(self, name: str) -> Path:
         """Return the map folder of a robot."""
@@ -193,6 +194,7 @@ def _task(plan: FleetPlan, robot: Robot) -> RobotTask:
         most_s=plan.config.for_s or None,
         patience_s=plan.config.patience_s,
         debug=plan.debug,
+        anyway=plan.anyway,
     )
 
 

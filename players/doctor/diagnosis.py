@@ -45,6 +45,7 @@ from players.options import SourceOptions
 from players.poses.camera_poses import body_from_camera_of
 from players.poses.extrinsics import are_assumed, estimated_extrinsics, extrinsics_text
 from players.poses.odometry_source import OdometrySource, with_odometry
+from players.poses.pose_gaps import PoseGaps
 
 SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
 
@@ -281,7 +282,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
     _refuse_empty(found, num_torn, invalid)
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
-    _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {})
+    gaps = played.gaps if isinstance(played, LogSource | FolderSource) else PoseGaps()
+    _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {}, gaps)
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_motion(found, agreed, depth_unit_of(played))
     judge_color(found, agreement, lag)
@@ -289,14 +291,15 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         judge_depth(found, noise, bias, sensor)
         found.notes += gravity_notes(floors)
     judge_brightness(found, light)
+    if isinstance(played, LogSource | FolderSource):
+        findings = played.findings()
+        found.problems += [text for text, is_harmful in findings.items() if is_harmful]
+        found.notes[:0] = [text for text, is_harmful in findings.items() if not is_harmful]
     if isinstance(played, LogSource):
         setup = played.setup
         topics = (setup.topics.color, setup.topics.depth)
         color, depth = (stats[topic.name].stamps(uses_log_time=setup.uses_log_time) for topic in topics)
         judge_ends(found, color, depth)
-        findings = played.findings()
-        found.problems += [text for text, is_harmful in findings.items() if is_harmful]
-        found.notes[:0] = [text for text, is_harmful in findings.items() if not is_harmful]
         apart_ms = nearest_ms(color, depth)
         counts, edges = np.histogram(np.clip(apart_ms, -250, 250), bins=50)
         within = np.abs(apart_ms) <= setup.tolerance_ns / 1e6
@@ -454,7 +457,7 @@ def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
             found.notes.append(f"{name}: its type is not known; it is skipped")
 
 
-def _note_frames(found: Diagnosis, fates: dict[str, int], reasons: Mapping[str, str]) -> None:
+def _note_frames(found: Diagnosis, fates: dict[str, int], reasons: Mapping[str, str], gaps: PoseGaps) -> None:
     total = found.frames["frames"] + sum(
         fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
     )
@@ -466,6 +469,9 @@ def _note_frames(found: Diagnosis, fates: dict[str, int], reasons: Mapping[str, 
             found.notes.append(f"{number} {name.replace('_', ' ')} within the tolerance")
         elif name == "no_pose" and number <= max(3.0, 0.02 * total):
             found.notes.append(f"{number} of {total} frames have no pose (the ends of the poses)")
+        elif name == "no_pose" and (gaps.finding() or gaps.num_moving <= max(3.0, 0.02 * total)):
+            standing = number - gaps.num_moving
+            found.notes += [f"{standing} of {total} frames have no pose while the camera stands"] if standing else []
         elif name == "odometry_degenerate":
             found.notes.append(
                 f"{number} of {fates['odometry_scans']} scans do not determine the motion along some direction (a bare "

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.errors import InputError
+from hickory_stream.ports import SourceAround
 from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
 from players.logs.layouts.folder import FolderSource
 from players.logs.log_source import LogSource
+from players.playback import PlaybackClock, PlayedSource
 from players.poses.camera_poses import body_from_camera_of
 from players.poses.odometry_source import OdometrySource
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from hickory_stream.ports import Source
+    from hickory_stream.records import RawFrame
+
+logger = logging.getLogger(__name__)
 
 ANYWAY = "`play --anyway` maps it all the same"
 # `play` looks at so many frames of the beginning at most, until the camera has moved enough.
 _MOST_FRAMES = 1500
+_MOST_LIVE_FRAMES = 20_000
 
 # Units in which depth is recorded: numbers a metre, and the unit's name.
 _UNITS = {
@@ -58,15 +73,76 @@ def link_of(source: Source) -> NDArray[np.float64] | None:
     return body_from_camera_of(plan) if plan is not None and plan.stream is not None and plan.is_static else None
 
 
-def motion_warnings(source: Source) -> tuple[list[str], bool]:
+def check_motion(source: Source, note: Mapping[str, Any], *, anyway: bool = False) -> list[str]:
+    """Return what is certainly wrong by the beginning of a source that was opened from a note (`open_from_note`).
+
+    The source is not opened again: its log is read in a pass before the one that is mapped. Raises `InputError`: a map
+    would be worthless, unless `anyway`.
+    """
+    while isinstance(source, SourceAround) and not isinstance(source, OdometrySource):
+        source = source.played
+    start_s, end_s = note.get("start_s") or 0.0, note.get("end_s")
+    reasons, is_worthless = motion_warnings(source, start_s, end_s, note.get("first_frames") or _MOST_FRAMES)
+    if is_worthless and not anyway:
+        raise InputError(
+            f"{note['uris'][0]}: {'; '.join(reasons)} (`doctor --fix PROFILE` writes it), or map it --anyway"
+        )
+    return reasons
+
+
+def motion_warnings(
+    source: Source, start_s: float = 0.0, end_s: float | None = None, most_frames: int = _MOST_FRAMES
+) -> tuple[list[str], bool]:
     """Return what is certainly wrong by the beginning of a source, and whether a map would be worthless."""
     if isinstance(source, OdometrySource):
         return [], False
     motions = MotionSampler()
-    for number, raw in enumerate(source.frames()):
-        motions.add(raw)
-        if number >= _MOST_FRAMES or motions.num_moving >= STEPS:
-            break
+    with closing(PlayedSource(source, PlaybackClock(), start_s=start_s, end_s=end_s).frames()) as frames:
+        for raw in islice(frames, min(most_frames, _MOST_FRAMES)):
+            motions.add(raw)
+            if motions.num_moving >= STEPS:
+                break
+    return warnings_of(motions, source)
+
+
+class MotionWatch:
+    """Compares poses and images of a running source; its warnings are given once, and stop nothing."""
+
+    def __init__(self, source: Source) -> None:
+        self.reasons: list[str] = []
+        self._source = source
+        self._thread: threading.Thread | None = None
+
+    def watched(self, frames: Iterator[RawFrame]) -> Iterator[RawFrame]:
+        """Yield the frames; images that are compared are decoded once."""
+        motions = MotionSampler()
+        for number, frame in enumerate(frames):
+            if self._thread is not None:
+                yield frame
+                continue
+            raw = replace(frame, decode=cache(frame.decode))
+            motions.add(raw)
+            if motions.num_moving >= STEPS or number >= _MOST_LIVE_FRAMES:
+                self._compare(motions)
+            yield raw
+        if self._thread is None:
+            self._compare(motions)
+        assert self._thread is not None
+        self._thread.join()
+
+    def _compare(self, motions: MotionSampler) -> None:
+        # The frames go on meanwhile.
+        def compare() -> None:
+            self.reasons, _ = warnings_of(motions, self._source)
+            for reason in self.reasons:
+                logger.warning("%s", reason)
+
+        self._thread = threading.Thread(target=compare, name="motion-watch", daemon=True)
+        self._thread.start()
+
+
+def warnings_of(motions: MotionSampler, source: Source) -> tuple[list[str], bool]:
+    """Return what is certainly wrong by some frames of a source, and whether a map would be worthless."""
     motion = motions.agreement(link_of(source))
     if motion is None:
         return [], False

@@ -28,6 +28,7 @@ from players.messages.images import LogImage, color_of, depth_of, image_of
 from players.messages.point_clouds import scan_of
 from players.messages.records import CAMERA_INFO, POINT_CLOUD
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader
+from players.poses.pose_gaps import PoseGaps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -68,6 +69,8 @@ class LogSource:
         self._plan, self._registration = setup.plan, setup.registration
         self._clock = ClockSteps()
         self._reader: PoseReader | None = None
+        #: Of the latest pass.
+        self.gaps = PoseGaps()
         first = next(self.frames(), None)
         if first is None:
             raise self._why_empty()
@@ -88,7 +91,8 @@ class LogSource:
         """Return faults of transforms and clocks, of the opening and the latest pass, and whether each does harm."""
         found = self._reader.faults() if self._reader is not None else {}
         lag = dict.fromkeys([text] if (text := self._lag_text()) else [], False)
-        return {**dict.fromkeys(self.setup.findings, False), **self._clock.texts, **lag, **found}
+        gaps = dict.fromkeys([text] if (text := self.gaps.finding()) else [], True)
+        return {**dict.fromkeys(self.setup.findings, False), **self._clock.texts, **lag, **gaps, **found}
 
     def with_plan(self, plan: PosePlan) -> LogSource:
         """Return the same log with poses from another plan.
@@ -109,7 +113,7 @@ class LogSource:
         setup = self.setup
         reader = PoseReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
         self._plan, self._registration = setup.plan, setup.registration
-        self._clock, self._reader = ClockSteps(), reader
+        self._clock, self._reader, self.gaps = ClockSteps(), reader, PoseGaps()
         num_static = 0
         if setup.pose_file is not None and setup.plan.stream is not None:
             reader.load(setup.plan.stream, *setup.pose_file)
@@ -305,8 +309,10 @@ class LogSource:
         if world_from_camera is None:
             if not self.setup.estimates_poses:
                 self._refuse(pair, "no_pose", ledger)
+                self.gaps.unposed(partial(color_of, pair.color))
                 return None
             world_from_camera = np.eye(4)
+        self.gaps.posed(world_from_camera)
         ledger.count("frames")
         offset_ns, jump = self.setup.corrections.pose_offset_ns, None
         if last_ns is not None:

@@ -71,11 +71,6 @@ class OdometrySource(SourceAround):
         return replace(info, streams=tuple(streams.items()))
 
     @property
-    def played(self) -> Source:
-        """The source whose poses are estimated."""
-        return self._source
-
-    @property
     def poses_by(self) -> str:
         """The names of the method and the sensor."""
         return f"{self._name} on {self.sensor}"

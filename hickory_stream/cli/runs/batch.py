@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.commands import INCOMPLETE, Commands
 from hickory_stream.cli.option_values import parse_workers, read_settings
 from hickory_stream.cli.output_files import disk_refusals
+from hickory_stream.cli.runs.play import add_anyway
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.outputs import output
 
@@ -29,6 +30,7 @@ def add(commands: Commands) -> None:
         "--workers", dest="tasks", metavar="N", help="logs at a time (as many as processors), or dask=tcp://HOST:PORT"
     )
     batch.add_argument("--merge", action="store_true", help="align and merge overlapping maps into OUT/merged.map")
+    add_anyway(batch)
     add_source_options(batch)
 
 
@@ -48,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         workers=workers.get("workers", 0),
         cluster=workers.get("cluster", ""),
         merges=options.merge,
+        anyway=options.anyway,
     )
     result = run_batch(plan, lambda text: _tell(text, as_json=options.json))
     report = result_json(result)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.commands import INCOMPLETE, STOPPED, Commands
 from hickory_stream.cli.option_values import make_style, read_settings
 from hickory_stream.cli.output_files import disk_refusals
+from hickory_stream.cli.runs.play import add_anyway
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output, picked
 
@@ -45,6 +46,7 @@ def add(commands: Commands) -> None:
     fleet.add_argument("--processes", type=int, metavar="N", help="robots at a time (as many as processors)")
     fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for this many seconds")
     fleet.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
+    add_anyway(fleet)
     fleet.add_argument("--workers", metavar="N", help="child processes of each robot that build shapes")
 
 
@@ -77,6 +79,7 @@ def run(options: argparse.Namespace) -> int:
         rerun=settings.rerun,
         viewer=parse_viewer(options.viewer),
         debug=options.debug,
+        anyway=options.anyway,
     )
     printer = ProgressPrinter(make_style(options), part=f"{len(robots)} robots")
     try:

@@ -23,7 +23,7 @@ from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.writer import MapFolder
@@ -123,9 +123,14 @@ def add(commands: Commands) -> None:
     )
     play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="seed of the faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
-    play.add_argument("--anyway", action="store_true", help="map a log whose poses and depth do not fit each other")
+    add_anyway(play)
     add_run_options(play)
     add_source_options(play)
+
+
+def add_anyway(command: argparse.ArgumentParser) -> None:
+    """Add the option that maps what would be refused."""
+    command.add_argument("--anyway", action="store_true", help="map a log whose poses and depth do not fit each other")
 
 
 def add_run_options(command: argparse.ArgumentParser) -> None:
@@ -150,6 +155,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun.viewer import check_viewer, parse_viewer
     from players import make_source_note, open_from_note
+    from players.doctor.motion_mends import check_motion
     from players.playback import PlaybackClock
 
     if not options.source and any("=" in robot for robot in options.robot or ()):
@@ -175,7 +181,8 @@ def run(options: argparse.Namespace) -> int:
     )
     clock = PlaybackClock(rate)
     source = open_from_note(note, clock, settings.mapper.keyframes)
-    _compare_motion(options, note)
+    # Before an existing map is replaced.
+    warn(check_motion(source, note, anyway=options.anyway))
     out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
     style = make_style(options)
     if not options.json:
@@ -209,20 +216,9 @@ def run(options: argparse.Namespace) -> int:
     return finish(options, out, played)
 
 
-def _compare_motion(options: argparse.Namespace, note: dict[str, Any]) -> None:
-    # Before an existing map is replaced; on a source of its own, whose frames are counted apart.
-    from players import open_from_note
-    from players.doctor.motion_mends import motion_warnings
-
-    source = open_from_note({**note, "faults": None})
-    reasons, is_worthless = motion_warnings(source)
-    source.close()
-    if is_worthless and not options.anyway:
-        raise InputError(
-            f"{note['uris'][0]}: {'; '.join(reasons)} (`doctor --fix PROFILE` writes it), or map it --anyway"
-        )
-    for reason in reasons:
-        sys.stderr.write(f"warning: {reason}\n")
+def warn(reasons: Sequence[str]) -> None:
+    """Write warnings to standard error."""
+    sys.stderr.writelines(f"warning: {reason}\n" for reason in reasons)
 
 
 def _play_fleet(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ Frames are those of the colour camera, and the poses are its poses.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from players.logs.message_account import Account, Ledger, TopicAccount
 from players.messages.calibration import Lens
 from players.messages.depth_registration import Registration, register_depth
 from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
+from players.poses.pose_gaps import PoseGaps
 
 _LOST = "unreadable_frames"
 
@@ -70,6 +71,7 @@ class FolderContent:
     text_files: tuple[Path, ...]
     #: Damaged places, in words.
     flaws: tuple[str, ...] = ()
+    gaps: PoseGaps = field(default_factory=PoseGaps)
 
     @property
     def images(self) -> list[Path]:
@@ -166,8 +168,18 @@ class FolderSource:
             is_complete=self._ledger.is_complete,
             num_flaws=len(content.flaws),
             flaws=content.flaws,
+            findings=tuple(self.findings()),
             unit="images" if isinstance(content.frames[0].color, FilePart) else "files",
         )
+
+    @property
+    def gaps(self) -> PoseGaps:
+        """The frames without a pose."""
+        return self.content.gaps
+
+    def findings(self) -> Mapping[str, bool]:
+        """Return faults of the poses, and whether each does harm."""
+        return {text: True for text in [self.gaps.finding()] if text}
 
     @property
     def depth_units_per_m(self) -> float:

@@ -10,6 +10,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import TypeGuard
 
@@ -28,9 +30,10 @@ from players.logs.layouts.file_parts import FilePart, ImageFile, read_image_file
 from players.logs.layouts.folder import FolderContent, FolderFrame, FolderSource, FolderView, decoded
 from players.logs.synchronizer import Leftover, Stamped, pair_nearest
 from players.messages.depth_registration import Registration
-from players.messages.image_decoding import compressed_size
+from players.messages.image_decoding import compressed_size, decode_color
 from players.options import NO_TOPIC, SourceOptions
 from players.poses.interpolation import world_from_down
+from players.poses.pose_gaps import PoseGaps
 from players.profile import Intrinsics, Profile
 
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -72,7 +75,7 @@ class FrameCollector:
         self._profile = profile
         self._found: list[tuple[int, ImageFile, ImageFile, Pose, FolderView | None]] = []
         self._fates: Counter[str] = Counter()
-        self._unposed_ns: list[int] = []
+        self._unposed: list[tuple[int, ImageFile]] = []
 
     @property
     def clock(self) -> str:
@@ -133,7 +136,7 @@ class FrameCollector:
             self._fates["color_without_depth"] += 1
         elif (log_from_depth is None or self._ignores_poses) and not self._estimates_poses:
             self._fates["no_pose"] += 1
-            self._unposed_ns.append(stamp_ns)
+            self._unposed.append((stamp_ns, color))
         else:
             self._found.append((stamp_ns, color, depth, None if self._ignores_poses else log_from_depth, view))
 
@@ -160,7 +163,7 @@ class FrameCollector:
         Raises `RecordingError`: there are no frames, or an image has no size.
         """
         if not self._found:
-            error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
+            error = NoPosesError if self._unposed and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
         usual = None
         origins = dict(zip(ROLES, streams, strict=True) if isinstance(streams, tuple) else streams)
@@ -193,8 +196,19 @@ class FrameCollector:
             streams=(*origins.items(), ("up", up)),
             text_files=tuple(text_files),
             flaws=tuple(flaws),
+            gaps=self._gaps(),
         )
         return FolderSource(self._folder, content)
+
+    def _gaps(self) -> PoseGaps:
+        gaps = PoseGaps()
+        found = [(stamp_ns, pose, color) for stamp_ns, color, _, pose, _ in self._found]
+        for _, pose, color in sorted([*found, *((ns, None, image) for ns, image in self._unposed)], key=itemgetter(0)):
+            if pose is not None:
+                gaps.posed(pose)
+            elif not self._estimates_poses:
+                gaps.unposed(partial(_pixels, color))
+        return gaps
 
     def view(
         self, sizes: Sizes, depth_units_per_m: float, depth: Intrinsics, color: Intrinsics | None = None
@@ -243,14 +257,19 @@ class FrameCollector:
         ), "the first image, without a level surface in view"
 
     def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
-        if self._unposed_ns and pose_span_ns is not None:
-            first_ns, last_ns = min(self._unposed_ns), max(self._unposed_ns)
+        if self._unposed and pose_span_ns is not None:
+            stamps_ns = [stamp_ns for stamp_ns, _ in self._unposed]
             return (
-                f"{self._folder}: no image has a pose: images from {first_ns / 1e9:.3f} s to {last_ns / 1e9:.3f} s, "
+                f"{self._folder}: no image has a pose: images from {min(stamps_ns) / 1e9:.3f} s to "
+                f"{max(stamps_ns) / 1e9:.3f} s, "
                 f"poses from {pose_span_ns[0] / 1e9:.3f} s to {pose_span_ns[1] / 1e9:.3f} s"
             )
         found = ", ".join(f"{number} {fate}" for fate, number in sorted(self._fates.items())) or "no images"
         return f"{self._folder}: no frame has colour, depth and a pose; found {found}"
+
+
+def _pixels(color: ImageFile) -> NDArray[np.uint8]:
+    return decode_color(read_image_file(color), str(color))
 
 
 def by_number(files: Iterable[Path]) -> dict[int, Path]:

@@ -1,0 +1,70 @@
+"""Depth, images and poses that do not fit: refused by every run of a log, told once by a live one."""
+
+import logging
+import pytest
+from hickory_stream.cli import main
+from hickory_stream.config import MapperConfig
+from hickory_stream.errors import InputError
+from hickory_stream.fleet.crew import run_crew
+from hickory_stream.fleet.robot_process import RobotTask
+from hickory_stream.fleet.robots import Robot
+from hickory_stream.sinks.disk_sink import DiskSinkConfig
+from players import SourceOptions, make_source_note, open_from_note
+from players.doctor.motion_mends import check_motion
+from players.live import open_live
+from tests.players.test_motion_faults import ODOM, cut, stamped, unit
+
+FEW = ("--set", "mapper.mapping.requests.max_failures=0")
+
+
+@pytest.fixture
+def logs(tmp_path):
+    return [cut(tmp_path / "sound.mcap", seconds=3.0), cut(tmp_path / "far.mcap", unit(10), seconds=3.0)]
+
+
+def test_a_batch_refuses_what_play_refuses(logs, tmp_path, capsys):
+    main(["batch", *map(str, logs), "-o", str(tmp_path / "out"), "--workers", "1", *FEW])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "too far for the motion of the poses: it is in 0.1 mm" in said
+    assert "--anyway" in said
+    assert not (tmp_path / "out/maps/far.map").exists()
+    assert (tmp_path / "out/maps/sound.map").exists()
+
+
+def test_a_robot_of_a_fleet_is_refused_as_play_does(logs, tmp_path):
+    task = RobotTask(
+        robot=Robot(name="far", uris=(str(logs[1]),), options=SourceOptions()),
+        out=tmp_path / "far.map", overwrite=False, resumes=False, mapper=MapperConfig(), disk=DiskSinkConfig(),
+        every_keyframes=10, most_s=None, patience_s=1.0, debug=False,
+    )  # fmt: skip
+    ended = run_crew([task], 1, lambda name, message: None)["far"]
+    assert not ended.is_finished
+    assert "too far for the motion of the poses: it is in 0.1 mm" in ended.reason
+    assert not (tmp_path / "far.map").exists()
+
+
+def test_the_part_that_is_played_is_compared_once(logs, monkeypatch):
+    note = make_source_note([logs[1]], SourceOptions(), start_s=0.5, first_frames=14)
+    source = open_from_note(note)
+    monkeypatch.setattr("players.source_note.open_source", None)
+    with pytest.raises(InputError, match=r"depth_units_per_m = 10000 .*--anyway"):
+        check_motion(source, note)
+    (reason,) = check_motion(source, note, anyway=True)
+    assert "too far" in reason
+    assert len(list(source.frames())) == 14
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), [(unit(10), "too far"), (stamped(0.3, "/tf", ODOM), "too late"), (None, "")]
+)
+def test_a_live_run_is_told_once_and_goes_on(tmp_path, caplog, change, said):
+    log = cut(tmp_path / "log.mcap", change or (lambda rows: None), seconds=4.0)
+    with caplog.at_level(logging.WARNING):
+        source = open_live(f"mcap:{log}")
+        frames = [raw.decode() for raw in source.frames()]
+        source.close()
+    assert len(frames) > 20
+    told = [record.getMessage() for record in caplog.records if "put " in record.getMessage()]
+    assert len(told) == bool(said)
+    assert all(said in text for text in told)
+    assert [text for text in source.account().findings if "put " in text] == told
