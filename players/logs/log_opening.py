@@ -160,7 +160,6 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
             color_from_depth=profile.corrections.between(color_from_depth),
         ),
         plan=plan,
-        pose_span_ns=_span(opening.reader, plan),
         max_gap_ns=opening.max_gap_ns,
         jump_limits=profile.jump_limits,
         pose_file=opening.pose_file,
@@ -417,12 +416,6 @@ def _findings(opening: Opening, plan: PosePlan) -> tuple[str, ...]:
     if opening.others:
         texts.append(f"{', '.join(sorted(opening.others))} are left out: they lie in the namespace of another robot")
     return tuple(texts)
-
-
-def _span(reader: PoseReader, plan: PosePlan) -> tuple[int, int] | None:
-    tracks = [track for key in plan.keys if (track := reader.track(key, 0)) is not None and track.num_added]
-    spans = [(track.first_ns or 0, track.newest_ns or 0) for track in tracks]
-    return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
 
 
 def _unreadable(opening: Opening) -> str:

@@ -30,7 +30,6 @@ class LogSetup:
     depth_lens: Lens
     registration: Registration
     plan: PosePlan
-    pose_span_ns: tuple[int, int] | None
     max_gap_ns: int
     jump_limits: JumpLimits
     pose_file: tuple[list[int], list[list[float]]] | None

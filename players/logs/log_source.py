@@ -49,6 +49,7 @@ _KEPT_NS = 5_000_000_000
 """How long poses older than the current frame are kept."""
 
 _LAG_NS, _OTHER_CLOCK_NS = 200_000_000, 60_000_000_000
+_OFFSET = "pose_offset_ms = {:.0f} under [time] of a profile"
 
 _KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
 _FORGET_EVERY = 5000
@@ -340,11 +341,14 @@ class LogSource:
     def _why_empty(self) -> RecordingError | CalibrationError:
         fates, path, topics = self._ledger.as_dict(), self._log.path, self.setup.topics
         if fates.get("no_pose"):
-            images, source = _span_text(self._stamps(topics.color)), self.setup.plan.source
+            images_ns, poses_ns = self._stamps(topics.color), self._pose_span_ns()
+            lag, apart_ns = self._lag_text(), images_ns[0] - poses_ns[0]
+            is_apart = poses_ns[1] < images_ns[0] or images_ns[1] < poses_ns[0]
+            if not lag and is_apart and abs(apart_ns) <= _OTHER_CLOCK_NS:
+                lag = f"If both are of one drive, {_OFFSET.format(apart_ns / 1e6)} lays their beginnings on each other"
             return RecordingError(
-                f"{path}: no image has a pose: images from {images}, poses of {source} "
-                f"from {_span_text(self.setup.pose_span_ns or (0, 0))}; name another with --pose-topic"
-                f"{'. ' * bool(lag := self._lag_text())}{lag}"
+                f"{path}: no image has a pose: images from {_span_text(images_ns)}, poses of {self.setup.plan.source} "
+                f"from {_span_text(poses_ns)}; name another with --pose-topic{'. ' * bool(lag)}{lag}"
             )
         if fates.get("frame_of_other_size"):
             lenses = (self.setup.color_lens.camera, self.setup.depth_lens.camera)
@@ -363,14 +367,24 @@ class LogSource:
     def _lag_text(self) -> str:
         name = next(iter(self.setup.plan.keys), ("",))[0]
         lags_ns = self._clock.lag_ns(self.setup.topics.color.name), self._clock.lag_ns(name)
-        if lags_ns[0] is None or lags_ns[1] is None or not _LAG_NS < abs(lags_ns[1] - lags_ns[0]) < _OTHER_CLOCK_NS:
+        if lags_ns[0] is None or lags_ns[1] is None:
             return ""
-        late_s = (lags_ns[1] - lags_ns[0]) / 1e9
+        late_ns = lags_ns[1] - lags_ns[0]
+        is_mended = abs(late_ns - self.setup.corrections.pose_offset_ns) <= _LAG_NS
+        if is_mended or not _LAG_NS < abs(late_ns) < _OTHER_CLOCK_NS:
+            return ""
+        late_s = late_ns / 1e9
         way = "behind" if late_s > 0 else "ahead of"
         return (
             f"{name}: by log time its stamps are {abs(late_s):.1f} s {way} the images': its clock is wrong "
-            "(--clock log plays by log time), or its poses take that long to compute"
+            f"({_OFFSET.format(late_ns / 1e6)} or --clock log mends it), or its poses take that long to compute"
         )
+
+    def _pose_span_ns(self) -> tuple[int, int]:
+        keys, reader = self.setup.plan.keys, self._reader
+        found = [track for key in keys if reader is not None and (track := reader.track(key, 0)) is not None]
+        spans = [(track.first_ns or 0, track.newest_ns or 0) for track in found if track.num_added]
+        return max((start for start, _ in spans), default=0), min((end for _, end in spans), default=0)
 
     def _stamps(self, topic: Topic) -> tuple[int, int]:
         uses_log = self.setup.uses_log_time

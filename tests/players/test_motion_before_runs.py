@@ -1,15 +1,16 @@
 """Depth, images and poses that do not fit: refused by every run of a log, told once by a live one."""
 
 import logging
+import re
 import pytest
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
-from hickory_stream.errors import InputError
+from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.fleet.crew import run_crew
 from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import Robot
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
-from players import SourceOptions, make_source_note, open_from_note
+from players import SourceOptions, make_source_note, open_from_note, open_source
 from players.doctor.motion_mends import check_motion
 from players.live import open_live
 from tests.players.test_motion_faults import ODOM, cut, stamped, unit
@@ -52,6 +53,32 @@ def test_the_part_that_is_played_is_compared_once(logs, monkeypatch):
     (reason,) = check_motion(source, note, anyway=True)
     assert "too far" in reason
     assert len(list(source.frames())) == 14
+
+
+def replayed(seconds):
+    """Poses that a replay stamped and recorded later: their log times tell nothing."""
+
+    def change(rows):
+        stamped(seconds, "/tf", ODOM)(rows)
+        for row in rows:
+            row.log_ns += round(seconds * 1e9) * (row.topic in ("/tf", ODOM))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "offset_ms"),
+    [(stamped(-3.0, "/tf", ODOM), 3000), (stamped(9.0, "/tf", ODOM), -9000), (replayed(20.0), -20000)],
+)
+def test_poses_of_another_time_are_refused_with_their_offset(tmp_path, change, offset_ms):
+    log, profile = cut(tmp_path / "log.mcap", change, 8.0), tmp_path / "mended.toml"
+    with pytest.raises(RecordingError, match=r"no image has a pose.*pose_offset_ms = -?\d+ under \[time\]") as refused:
+        open_source(log)
+    assert float(re.search(r"pose_offset_ms = (-?\d+)", str(refused.value))[1]) == pytest.approx(offset_ms, abs=20)
+    profile.write_text(f"[time]\npose_offset_ms = {offset_ms}\n")
+    source = open_source(log, SourceOptions(profile=str(profile)))
+    assert len(list(source.frames())) == 48
+    assert source.findings() == {}
 
 
 @pytest.mark.parametrize(
