@@ -41,6 +41,11 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
     topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="source of the stamps")
 
 
+def add_anyway(command: argparse.ArgumentParser) -> None:
+    """Add the option that maps what would be refused."""
+    command.add_argument("--anyway", action="store_true", help="map a log whose poses and depth do not fit each other")
+
+
 def source_options(options: argparse.Namespace) -> SourceOptions:
     """Return the options of a log; raises `InputError` for invalid values."""
     from players import SourceOptions

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from players.logs.log_source import LogSource
 from players.logs.robots import other_robots
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
-from players.logs.video_log import with_video
+from players.logs.video_log import packet_of, with_video
 from players.messages.calibration import Lens, has_shape, lens_of, scaled
 from players.messages.depth_registration import Registration
 from players.messages.images import (
@@ -30,12 +31,13 @@ from players.messages.images import (
     check_decodes,
     check_depth_encoding,
     check_depth_unit,
+    codec_of,
     color_of,
     depth_of,
     image_of,
     kind_of,
 )
-from players.messages.records import COMPRESSED_IMAGE, IMAGE, TF
+from players.messages.records import COMPRESSED_IMAGE, IMAGE, TF, VIDEOS
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, own_parent_text, plan_poses
 from players.poses.pose_file import read_pose_file
@@ -245,8 +247,19 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
 
 def _contents(log: Log) -> dict[str, discovery.Content]:
     topics = {topic.name: topic for topic in log.topics}
-    images = [image_of(topics[name], m) for name, m in first_messages(log, (IMAGE, COMPRESSED_IMAGE)).items()]
-    return {image.topic: discovery.Content(kind_of(image), image.frame) for image in images}
+    return {
+        name: _content(topics[name], m) for name, m in first_messages(log, (IMAGE, COMPRESSED_IMAGE, *VIDEOS)).items()
+    }
+
+
+def _content(topic: Topic, message: Any) -> discovery.Content:
+    if topic.type_name in VIDEOS:
+        packet = packet_of(message)
+        return discovery.Content(
+            "video" if codec_of(packet.encoding, packet.data) else "", packet.frame, packet.encoding
+        )
+    image = image_of(topic, message)
+    return discovery.Content(kind_of(image), image.frame)
 
 
 def _pose_topics(log: Log, topics: Sequence[Topic], options: SourceOptions, profile: Profile) -> list[Topic]:

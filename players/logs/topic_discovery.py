@@ -11,6 +11,7 @@ from typing import NamedTuple
 from hickory_stream.errors import NoPosesError, RecordingError
 from players.logs.containers import Topic, topic_name
 from players.logs.robots import shared_parts
+from players.messages.images import CODECS
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF, VIDEOS
 from players.options import NO_TOPIC, SourceOptions
 
@@ -30,10 +31,11 @@ class ImageTopics(NamedTuple):
 
 
 class Content(NamedTuple):
-    """The content of a topic's first image: `kind` is "color", "depth" or "", which is not known."""
+    """The content of a topic's first image: `kind` is "color", "depth", "video" or "", which is not known."""
 
     kind: str
     frame: str
+    encoding: str = ""
 
 
 def choose_images(
@@ -74,8 +76,13 @@ def choose_images(
             f"{path} is a recording of a ZED camera (SVO2): depth and poses are not in it, the ZED SDK makes them; "
             f"with the SDK installed: hickory-stream live zed:{path}"
         )
-    if any(topic.type_name in VIDEOS for topic in topics):
-        raise RecordingError(f"{path} has video: pip install 'hickory-stream[video]' reads it")
+    if videos := [topic for topic in topics if topic.type_name in VIDEOS]:
+        content = (contents or {}).get(videos[0].name)
+        how = (
+            "pip install 'hickory-stream[video]' reads it" if content is None or content.kind else f"expected {CODECS}"
+        )
+        encoding = f" ({content.encoding!r})" if content is not None else ""
+        raise RecordingError(f"{path}: {videos[0].name} is video{encoding}: {how}")
     if not images:
         raise RecordingError(f"{path} has no images, neither colour nor depth; {_listed('topics', topics)}")
     role, option = ("depth", "--depth-topic") if is_depth else ("colour", "--color-topic")

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from players.logs.containers import Log, LogMessage, UnreadableMessageError, deserialize, first_messages, own_types
 from players.logs.joined_log import JoinedLog
@@ -18,13 +19,14 @@ from players.logs.log_damage import Flaws
 from players.messages.images import codec_of
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, VIDEOS
 
-# Lossless depth.
+# Lossless depth; H.264 has its ten bits with colour that is grey everywhere.
 _DEPTHS = ("gray10le", "gray12le", "gray16le")
+_WITH_COLOR = {"yuv420p10le": 512, "yuv420p12le": 2048}
 
 
 def with_video(log: Log) -> Log:
     """Return the log with raw images in place of video, or itself, if it has none or PyAV is not installed."""
-    packets = {name: _packet_of(m) for name, m in first_messages(log, (COMPRESSED_IMAGE, *VIDEOS)).items()}
+    packets = {name: packet_of(m) for name, m in first_messages(log, (COMPRESSED_IMAGE, *VIDEOS)).items()}
     codecs = {name: codec for name, packet in packets.items() if (codec := codec_of(packet.encoding, packet.data))}
     if not codecs:
         return log
@@ -67,14 +69,15 @@ class VideoLog(JoinedLog):
                 continue
             decoder.num_packets += 1
             with suppress(UnreadableMessageError):
-                packet = _packet_of(deserialize(self._sources[message.topic], message.data))
+                packet = packet_of(deserialize(self._sources[message.topic], message.data))
                 for log_ns, data in decoder.pictures(message.log_ns, packet):
                     yield LogMessage(message.topic, log_ns, data)
         for i, (name, decoder) in enumerate(sorted(decoders.items())):
             for log_ns, data in decoder.pictures(0, None):
                 yield LogMessage(name, log_ns, data)
             if lost := decoder.num_packets - decoder.num_pictures:
-                what = f"{lost} of {decoder.num_packets} packets of {name} give no picture, as before a key frame"
+                packets = f"{decoder.num_packets} packets of {name} ({decoder.codec})"
+                what = f"{lost} of {packets} give no picture, as before a key frame"
                 self._lost.note(i, what, 0, {name: lost})
 
 
@@ -83,11 +86,12 @@ class _Packet(NamedTuple):
     frame: str
     encoding: str
     data: bytes
+    size: tuple[int, int] | None
 
 
 class _Decoder:
     def __init__(self, av: Any, codec: str) -> None:
-        self.num_packets, self.num_pictures = 0, 0
+        self.num_packets, self.num_pictures, self.codec = 0, 0, codec
         self._av = av
         self._waiting: dict[int, tuple[int, _Packet]] = {}
         self._context = av.CodecContext.create(codec, "r")
@@ -99,6 +103,8 @@ class _Decoder:
         if packet is not None:
             coded = self._av.Packet(packet.data)
             coded.pts = self.num_packets
+            if packet.size is not None and not self._context.is_open:
+                self._context.width, self._context.height = packet.size  # FFV1 does not repeat its size
             self._waiting[self.num_packets] = log_ns, packet
         with suppress(self._av.FFmpegError):
             for picture in self._context.decode(coded):
@@ -108,20 +114,33 @@ class _Decoder:
                     yield log_ns, _serialized(packet, picture)
 
 
-def _packet_of(message: Any) -> _Packet:
+def packet_of(message: Any) -> _Packet:
+    """Return the packet of a message of video."""
     # Foxglove's video has no header, and the packets of ffmpeg_image_transport have an encoding.
     header = getattr(message, "header", None)
     stamp, frame = (header.stamp, header.frame_id) if header is not None else (message.timestamp, message.frame_id)
     encoding = message.format if hasattr(message, "format") else message.encoding
-    return _Packet(stamp, frame, encoding, np.asarray(message.data, dtype=np.uint8).tobytes())
+    size = (message.width, message.height) if hasattr(message, "width") else None
+    return _Packet(stamp, frame, encoding, np.asarray(message.data, dtype=np.uint8).tobytes(), size)
+
+
+def _is_depth(picture: Any) -> bool:
+    middle = _WITH_COLOR.get(picture.format.name)
+    return picture.format.name in _DEPTHS or (
+        middle is not None and all((_plane(picture, i) == middle).all() for i in (1, 2))
+    )
+
+
+def _plane(picture: Any, i: int) -> NDArray[np.uint16]:
+    plane = picture.planes[i]
+    rows = np.frombuffer(plane, dtype="<u2").reshape(-1, plane.line_size // 2)
+    return rows[: plane.height, : plane.width]
 
 
 def _serialized(packet: _Packet, picture: Any) -> bytes:
     store = own_types("cdr")
-    if picture.format.name in _DEPTHS:
-        plane = picture.planes[0]
-        rows = np.frombuffer(plane, dtype="<u2").reshape(-1, plane.line_size // 2)
-        pixels, encoding = rows[: picture.height, : picture.width], "16UC1"
+    if _is_depth(picture):
+        pixels, encoding = _plane(picture, 0), "16UC1"
     else:
         pixels, encoding = picture.to_ndarray(format="rgb24"), "rgb8"
     data = np.ascontiguousarray(pixels).view(np.uint8).ravel()

@@ -34,7 +34,18 @@ _LEAST_DEPTH_M, _MOST_DEPTH_M = 0.05, 25.0
 """What a camera's depth may be in the middle."""
 
 _COARSE_M = 0.09
-_CODECS = {"h264": ("264", "avc"), "hevc": ("265", "hevc"), "vp9": ("vp9",), "libdav1d": ("av1",)}
+# A temporal delimiter and the head of a sequence.
+_AV1_START = b"\x12\x00\x0a\x0a"
+_CODECS = {
+    "h264": ("264", "avc"),
+    "hevc": ("265", "hevc"),
+    "vp8": ("vp8",),
+    "vp9": ("vp9",),
+    "libdav1d": ("av1",),
+    "ffv1": ("ffv1",),
+}
+
+CODECS = "H.264, H.265, VP8, VP9, AV1, or FFV1 up to version 1"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -69,7 +80,7 @@ class LogImage:
         at = 0 if head[:8] == PNG else 12
         if head[at : at + 8] == PNG:
             return head[at + 24 : at + 26] == b"\x10\0"
-        return head[:3] != JPEG and "compresseddepth" in self.encoding.lower() and any(rvl_size(head))
+        return head[:3] != JPEG and any(rvl_size(head))
 
     def data(self) -> bytes:
         """Return the compressed bytes."""
@@ -126,6 +137,8 @@ def codec_of(encoding: str, data: bytes) -> str:
     for codec, words in _CODECS.items():
         if any(word in text for word in words):
             return codec
+    if data[:4] == _AV1_START:
+        return "libdav1d"
     # Annex B: a start code, and the type of its first unit.
     start = re.match(rb"\x00{2,3}\x01(.)", data[:5], re.DOTALL)
     return "" if start is None else "hevc" if start[1] in b"\x40\x42\x44\x46" else "h264"

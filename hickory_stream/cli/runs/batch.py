@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.commands import INCOMPLETE, Commands
 from hickory_stream.cli.option_values import parse_workers, read_settings
 from hickory_stream.cli.output_files import disk_refusals
-from hickory_stream.cli.runs.play import add_anyway
-from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.cli.source_options import add_anyway, add_source_options, source_options
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:

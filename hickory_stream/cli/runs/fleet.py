@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.commands import INCOMPLETE, STOPPED, Commands
 from hickory_stream.cli.option_values import make_style, read_settings
 from hickory_stream.cli.output_files import disk_refusals
-from hickory_stream.cli.runs.play import add_anyway
+from hickory_stream.cli.source_options import add_anyway
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output, picked
 

@@ -17,7 +17,7 @@ from hickory_stream.cli.option_values import (
 )
 from hickory_stream.cli.output_files import add_output
 from hickory_stream.cli.runs.summary import finish
-from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.cli.source_options import add_anyway, add_source_options, source_options
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -126,11 +126,6 @@ def add(commands: Commands) -> None:
     add_anyway(play)
     add_run_options(play)
     add_source_options(play)
-
-
-def add_anyway(command: argparse.ArgumentParser) -> None:
-    """Add the option that maps what would be refused."""
-    command.add_argument("--anyway", action="store_true", help="map a log whose poses and depth do not fit each other")
 
 
 def add_run_options(command: argparse.ArgumentParser) -> None:

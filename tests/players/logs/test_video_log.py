@@ -54,6 +54,7 @@ CODED = {
     "h264": lambda images: _coded(images, "libx264", "yuv420p", **LIVE),
     "h264 with delayed pictures": lambda images: _coded(images, "libx264", "yuv420p", bf="2", crf="4"),
     "h265": lambda images: _coded(images, "libx265", "yuv420p", **LIVE, **{"x265-params": "log-level=none"}),
+    "av1": lambda images: _coded(images, "libsvtav1", "yuv420p", crf="10", preset="10"),
     "vp9": lambda images: _coded(
         images, "libvpx-vp9", "yuv420p", crf="4", deadline="realtime", **{"lag-in-frames": "0"}
     ),
@@ -117,12 +118,36 @@ def test_packets_before_the_first_key_frame_are_losses(tmp_path):
     assert "4 of 10 packets" in found.damage[0]["what"]
 
 
-def test_lossless_depth_is_exact(tmp_path):
-    lossless = {"tune": "zerolatency", "x265-params": "lossless=1:log-level=none"}
-    packets = _coded([frame.depth_mm for frame in FRAMES], "libx265", "gray12le", **lossless)
-    log = _log(tmp_path, _packet, packets, "hevc", scenes.RAW_DEPTH)
-    for raw, truth in zip(open_source(log).frames(), FRAMES, strict=True):
-        np.testing.assert_array_equal(raw.decode().depth_m, truth.depth_m)
+@pytest.mark.parametrize(
+    ("codec", "pixels", "options", "per_mm"),
+    [
+        ("libx265", "gray12le", {"tune": "zerolatency", "x265-params": "lossless=1:log-level=none"}, 1),
+        ("libx264", "gray10le", {"tune": "zerolatency", "qp": "0"}, 8),
+        ("ffv1", "gray16le", {"level": "1"}, 1),
+        ("ffv1", "gray10le", {"level": "1"}, 8),
+    ],
+)
+def test_lossless_depth_is_exact(tmp_path, codec, pixels, options, per_mm):
+    packets = _coded([frame.depth_mm // per_mm for frame in FRAMES], codec, pixels, **options)
+    log, profile = _log(tmp_path, _packet, packets, codec, scenes.RAW_DEPTH), tmp_path / "unit.toml"
+    profile.write_text(f"depth_units_per_m = {1000 / per_mm}\n")
+    for raw, truth in zip(open_source(log, SourceOptions(profile=str(profile))).frames(), FRAMES, strict=True):
+        expected = np.where(np.isfinite(truth.depth_m), truth.depth_mm // per_mm * per_mm / 1000, np.nan)
+        np.testing.assert_allclose(raw.decode().depth_m, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", [{"level": "3"}, {}])
+def test_ffv1_without_its_header_is_refused_by_name(tmp_path, level):
+    packets = _coded([frame.depth_mm for frame in FRAMES], "ffv1", "gray16le", **level)
+    with pytest.raises(RecordingError, match=r"12 of 12 packets of /\S+ \(ffv1\) give no picture"):
+        open_source(_log(tmp_path, _packet, packets, "ffv1", scenes.RAW_DEPTH))
+
+
+@pytest.mark.parametrize("make", [_compressed_video, _packet])
+def test_an_unknown_codec_is_refused_by_name(tmp_path, make):
+    packets = [(i, bytes([1, 2, 3, 4] * 20)) for i in range(len(FRAMES))]
+    with pytest.raises(RecordingError, match=r"is video \('vvc.*expected H.264"):
+        open_source(_log(tmp_path, make, packets, "vvc"))
 
 
 def test_foxglove_s_json_holds_video_too(tmp_path):
