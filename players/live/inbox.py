@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from threading import Condition
 
 from players.logs.containers import LogMessage, Topic
-from players.messages.records import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD
+from players.messages.records import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD, VIDEOS
 
 MAX_MESSAGE_BYTES = 64 << 20
 """A message that is longer is refused: 4K colour takes 25 MB, raw."""
@@ -22,7 +22,7 @@ MAX_TOPICS = 5000
 """So many topics are listed; a robot has some hundred."""
 
 _WINDOW_S = 5
-_LARGE = (IMAGE, COMPRESSED_IMAGE, POINT_CLOUD)
+_LARGE = (IMAGE, COMPRESSED_IMAGE, *VIDEOS, POINT_CLOUD)
 _LARGE_BYTES, _SMALL_BYTES = 128 << 20, 16 << 20
 
 

@@ -15,9 +15,9 @@ from players.live.transport import LiveSource
 from players.logs.containers import LogMessage, Topic
 from players.logs.log_damage import Flaws
 from players.messages.header_stamp import serialized_stamp_ns
-from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
+from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF, VIDEOS
 
-_IMAGES = (IMAGE, COMPRESSED_IMAGE)
+_IMAGES = (IMAGE, COMPRESSED_IMAGE, *VIDEOS)
 _KEPT_IMAGE_BYTES, _KEPT_SMALL_BYTES = 96 << 20, 64 << 20
 _POLL_S = 0.2
 

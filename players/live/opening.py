@@ -19,16 +19,20 @@ from players.live.recorder import Recorder
 from players.live.routes import is_recording, route_of
 from players.live.status import ROLES, LiveStatus, status_of
 from players.live.transport import LiveSource, ReturnLink
-from players.logs.log_opening import choose_profile, open_log
+from players.logs.containers import Log, Topic
+from players.logs.log_opening import Contents, choose_profile, contents_of, open_log
 from players.logs.log_source import LogSource
 from players.logs.message_account import Account, TopicAccount
 from players.logs.robots import other_robots
-from players.logs.topic_discovery import camera_infos, choose_images, pose_topics, tf_topics
+from players.logs.topic_discovery import camera_infos, choose_images, is_neither, pose_topics, tf_topics
+from players.logs.video_log import with_video
+from players.messages.records import COMPRESSED_IMAGE, IMAGE, VIDEOS
 from players.options import SourceOptions
 
 DEFAULT_PATIENCE_S = 60.0
 DEFAULT_ATTEMPT_S = 2.0
 
+_IMAGES = (IMAGE, COMPRESSED_IMAGE, *VIDEOS)
 _QUIET_S = 0.5
 _BETWEEN_S = 0.25
 
@@ -173,9 +177,9 @@ def _opened(
     while True:
         is_over = log.inbox.is_over  # before the attempt: it may be the last one that can succeed
         try:
-            subscribe(route, log, options)
+            seen, contents = subscribe(route, log, options)
             log.attempt(max(0.0, min(patience.attempt_s, ends_s - time.monotonic())))
-            return open_log(log, options, is_live=True)
+            return open_log(seen, options, contents=contents)
         except InputError as error:
             reason = _missing(route, log, error)
             if is_over or log.inbox.end_reason:
@@ -189,8 +193,10 @@ def _opened(
         log.idle(_BETWEEN_S)
 
 
-def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
-    """Subscribe to the topics that mapping needs, once announcements pause.
+def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> tuple[Log, Contents]:
+    """Subscribe to the topics that mapping needs, once announcements pause; return the log so far, with its images.
+
+    Names choose the first topics. Where the images of these have other roles, all topics of images are looked at.
 
     Raises `RecordingError`: colour, depth or poses are not announced; `CalibrationError`: unknown profile or robot.
     """
@@ -202,20 +208,34 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
     if not topics:
         raise RecordingError(f"{log.path} has announced no topics")
     profile, _ = choose_profile(topics, options)
+    seen = with_video(log)
+    contents = contents_of(seen)
+    is_sure = False
     try:
-        images = choose_images(log.path, topics, options, profile.topics)
+        images = choose_images(
+            log.path, [_as_image(t, contents) for t in seen.topics], options, profile.topics, contents
+        )
+        kinds = [(role, contents[t.name].kind) for role, t in images._asdict().items() if t.name in contents]
+        is_sure = all(kind in (role, "") for role, kind in kinds)
         log.hidden = other_robots(log.path, topics, images.color.name, options)
         listed = profile.topics.get("pose", ())
         poses = [] if options.pose_file else pose_topics(log.path, log.topics, options, listed)
     finally:
         # Announced topics are subscribed to even if others are missing.
-        small = {topic.name for topic in [*tf_topics(log.topics), *camera_infos(topics)]}
+        looked_at = [] if is_sure else [t for t in topics if t.type_name in _IMAGES and not is_neither(t)]
+        small = {topic.name for topic in [*tf_topics(log.topics), *camera_infos(topics), *looked_at]}
         route.subscribe(small)
     wanted = small | {topic.name for topic in (*poses, images.color, images.depth)}
     log.roles = dict.fromkeys((topic.name for topic in poses), "pose")
     log.roles |= {images.color.name: "color", images.depth.name: "depth"}
     route.subscribe(wanted)
     log.want(wanted)
+    return with_video(log), contents
+
+
+def _as_image(topic: Topic, contents: Contents) -> Topic:
+    # Video tells its encoding with its first message.
+    return replace(topic, type_name=IMAGE) if topic.type_name in VIDEOS and topic.name not in contents else topic
 
 
 def _missing(route: LiveSource, log: LiveLog, error: InputError) -> str:

@@ -20,6 +20,11 @@ from players.logs.log_damage import Flaws
 
 DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
 _SAMPLE_BYTES, _EARLY_MESSAGES = 1 << 20, 150
+_VIDEOS = {
+    "foxglove_msgs/msg/CompressedVideo": "time timestamp\nstring frame_id\nuint8[] data\nstring format",
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": "std_msgs/Header header\nint32 width\nint32 height\n"
+    "string encoding\nuint64 pts\nuint8 flags\nbool is_bigendian\nuint8[] data",
+}
 Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
@@ -124,7 +129,8 @@ def summed_by(name_of: Callable[[int], str], counts: Mapping[int, int] | None) -
 
 def first_messages(log: Log, type_names: Collection[str]) -> dict[str, Any]:
     """Return the first message of each topic of some types, as far as it comes early and can be read."""
-    topics = {topic.name: topic for topic in log.topics if topic.type_name in type_names and topic.num_messages != 0}
+    numbers = log.declared() or {}
+    topics = {t.name: t for t in log.topics if t.type_name in type_names and numbers.get(t.name, t.num_messages) != 0}
     found: dict[str, Any] = {}
     for count, message in enumerate(log.messages(topics)):
         if message.topic not in found:
@@ -191,6 +197,8 @@ def own_types(wire: Wire) -> Any:
     if wire == "ros1":
         for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+    for name, definition in _VIDEOS.items():
+        store.register(get_types_from_msg(definition, name))
     return store
 
 

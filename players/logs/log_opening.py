@@ -5,7 +5,7 @@ Only the beginning is read: up to images of both topics, their calibrations, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,6 +49,8 @@ _PATIENCE_NS = 10_000_000_000
 
 _HORIZON_NS = 300_000_000_000
 """How much of the log is read to find the links that are needed: a recording in which they come later is refused."""
+
+Contents = Mapping[str, discovery.Content]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -102,13 +104,13 @@ def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
         raise CalibrationError(f"found --robot {robot}, of which the log has no topics; robots in it: {found}")
 
 
-def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogSource:
-    """Return the source of a log; `is_live`: its messages arrive while it is read.
+def open_log(log: Log, options: SourceOptions, *, contents: Contents | None = None) -> LogSource:
+    """Return the source of a log; `contents` of its images are those of a live one, which arrives while it is read.
 
     Raises `RecordingError`: colour, depth or poses are missing, or never meet in time; `CalibrationError`: intrinsics
     or the frames between pose and camera are missing.
     """
-    opening = read_opening(log, options, is_live=is_live)
+    opening, is_live = read_opening(log, options, contents), contents is not None
     log = opening.log
     color_image, depth_image = opening.color.first, opening.depth.first
     for probe in (opening.color, opening.depth):
@@ -195,10 +197,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     return LogSource(log, setup)
 
 
-def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> Opening:
-    """Return the contents of the beginning of a log, whether or not they suffice to play it.
-
-    The topics of a live log were chosen by name when they were subscribed to.
+def read_opening(log: Log, options: SourceOptions, contents: Contents | None = None) -> Opening:
+    """Return the contents of the beginning of a log, whether or not they suffice to play it; `contents` as `open_log`.
 
     Raises `RecordingError`: there are no messages, or no topics of colour, depth or poses.
     """
@@ -206,8 +206,9 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     own = getattr(log, "profile", None) if options.profile is None and options.robot is None else None
     profile, is_guessed = (own, False) if own is not None else choose_profile(log.topics, options)
-    log = log if is_live else with_video(log)
-    contents = {} if is_live else _contents(log)
+    if contents is None:
+        log = with_video(log)
+        contents = contents_of(log)
     topics = discovery.choose_images(log.path, log.topics, options, profile.topics, contents)
     others = other_robots(log.path, log.topics, topics.color.name, options)
     of_robot = [topic for topic in log.topics if topic.name not in others]
@@ -245,7 +246,8 @@ def read_opening(log: Log, options: SourceOptions, *, is_live: bool = False) -> 
     return _filled(opening, {topic.name for topic in wanted if topic.num_messages != 0})
 
 
-def _contents(log: Log) -> dict[str, discovery.Content]:
+def contents_of(log: Log) -> dict[str, discovery.Content]:
+    """Return the content of each topic of images whose first message comes early."""
     topics = {topic.name: topic for topic in log.topics}
     return {
         name: _content(topics[name], m) for name, m in first_messages(log, (IMAGE, COMPRESSED_IMAGE, *VIDEOS)).items()

@@ -138,6 +138,11 @@ def _words(topic: Topic) -> Counter[str]:
     return Counter(re.split(r"[/_]+", topic.name.lower()))
 
 
+def is_neither(topic: Topic) -> bool:
+    """Return whether images are neither colour nor depth according to the topic's name."""
+    return bool(_words(topic).keys() & _NEITHER)
+
+
 def _may_be(role: str, topic: Topic, other: Topic | None, contents: Mapping[str, Content]) -> bool:
     # Words of both topics name their camera, and tell nothing about their roles.
     own = _words(topic) - (_words(other) if other is not None else Counter())

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError, RecordingError
+from players import SourceOptions
 from players.live import open_live
 from players.live.inbox import Inbox
 from players.live.transport import Health
@@ -48,6 +49,27 @@ def test_only_what_mapping_needs_is_asked_for():
     source = opened(route)
     assert "/other/image" not in route.asked
     assert {"/odom", "/tf_static", "/cam/color/image_rect/compressed"} <= route.asked
+    source.close()
+
+
+def test_images_tell_the_roles_that_names_do_not():
+    names = {
+        "/cam/color/image_rect/compressed": "/eye/left/compressed",
+        "/cam/aligned_depth/image_rect/compressedDepth": "/eye/range",
+    }
+
+    class OnDemand(ScriptedRoute):
+        def subscribe(self, names) -> None:
+            self.send(p for p in packets if p.topic.name in set(names) - self.asked)
+            super().subscribe(names)
+
+    packets = [replace(p, topic=replace(p.topic, name=names.get(p.topic.name, p.topic.name))) for p in scene_packets()]
+    infrared = replace(packets[0].topic, name="/eye/infra1/image", type_name="sensor_msgs/msg/Image")
+    route = OnDemand(announced=[*{p.topic.name: p.topic for p in packets}.values(), infrared])
+    infos = ("/cam/color/camera_info", "/cam/aligned_depth/camera_info")
+    source = opened(route, options=SourceOptions(color_info_topic=infos[0], depth_info_topic=infos[1]))
+    assert (dict(source.info.streams)["color"], dict(source.info.streams)["depth"]) == tuple(names.values())
+    assert infrared.name not in route.asked
     source.close()
 
 

@@ -1,4 +1,5 @@
 import re
+import struct
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,9 @@ import pytest
 from hickory_stream.errors import RecordingError
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import UNUSABLE, examine
+from players.live import open_live
 from tests import player_scenes as scenes
+from tests.players.messages.test_encodings import encode_rvl
 
 M = scenes.Messages(ros=2)
 FRAMES = scenes.make_scene(num_frames=12)
@@ -40,6 +43,11 @@ def _colored_depth(frame: scenes.SceneFrame) -> Any:
     return M.image(frame.stamp_ns, scenes.OPTICAL, "bgr8", pixels)
 
 
+def _rvl(frame: scenes.SceneFrame) -> Any:
+    data = struct.pack("<iffii", 0, 0.0, 0.0, *frame.depth_mm.shape[::-1]) + encode_rvl(frame.depth_mm)
+    return M.compressed(frame.stamp_ns, scenes.OPTICAL, "", data)
+
+
 def _thermal(frame: scenes.SceneFrame) -> Any:
     return M.image(frame.stamp_ns, "thermal", "16UC1", np.full((60, 80), 29_800, dtype=np.uint16))
 
@@ -62,6 +70,8 @@ def _thermal(frame: scenes.SceneFrame) -> Any:
         ({"/color_camera/range/image": _depth, "/color_camera/image": _color}, 1, 0),
         ({"/lepton/image": _thermal, "/cam/z/image": _depth, "/cam/image": _color}, 2, 1),
         ({"/front/depth": _color, "/front/color": _depth}, 0, 1),
+        ({"/eye/a": _color, "/eye/b": _rvl}, 0, 1),
+        ({"/eye/a": _depth, "/eye/b": _color}, 1, 0),
     ],
 )
 def test_roles_follow_from_content_and_the_camera(tmp_path, topics, color, depth):
@@ -74,8 +84,12 @@ def test_roles_follow_from_content_and_the_camera(tmp_path, topics, color, depth
     options = SourceOptions(
         color_info_topic="/calibration/color/camera_info", depth_info_topic="/calibration/aligned_depth/camera_info"
     )
-    streams = dict(open_source(log, options).info.streams)
-    assert (streams["color"], streams["depth"]) == (names[color], names[depth])
+    live = open_live(f"mcap:{log}", options)
+    for source in (open_source(log, options), live):
+        streams = dict(source.info.streams)
+        assert (streams["color"], streams["depth"]) == (names[color], names[depth])
+    assert len(list(live.frames())) == len(FRAMES)
+    live.close()
 
 
 def test_a_topic_named_for_one_role_is_not_taken_for_the_other(tmp_path):

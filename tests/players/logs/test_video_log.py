@@ -11,6 +11,7 @@ from rosbags.typesys import get_types_from_msg
 from hickory_stream.errors import RecordingError
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import SOUND, WITH_LOSSES, examine
+from players.live import open_live
 from tests import player_scenes as scenes
 
 M = scenes.Messages(ros=2)
@@ -107,6 +108,9 @@ def test_video_is_the_colour_of_its_frames(tmp_path, name, make):
     assert max(errors) < 6.0 < np.abs(FRAMES[0].rgb.astype(int) - FRAMES[3].rgb).mean()
     found = examine([log], SourceOptions())
     assert (found.status, found.problems) == (SOUND, [])
+    live = open_live(f"mcap:{log}")
+    assert len(list(live.frames())) == len(FRAMES)
+    live.close()
 
 
 def test_packets_before_the_first_key_frame_are_losses(tmp_path):
@@ -146,8 +150,10 @@ def test_ffv1_without_its_header_is_refused_by_name(tmp_path, level):
 @pytest.mark.parametrize("make", [_compressed_video, _packet])
 def test_an_unknown_codec_is_refused_by_name(tmp_path, make):
     packets = [(i, bytes([1, 2, 3, 4] * 20)) for i in range(len(FRAMES))]
-    with pytest.raises(RecordingError, match=r"is video \('vvc.*expected H.264"):
-        open_source(_log(tmp_path, make, packets, "vvc"))
+    log = _log(tmp_path, make, packets, "vvc")
+    for open_ in (open_source, lambda log: open_live(f"mcap:{log}")):
+        with pytest.raises(RecordingError, match=r"is video \('vvc.*expected H.264"):
+            open_(log)
 
 
 def test_foxglove_s_json_holds_video_too(tmp_path):
