@@ -5,7 +5,9 @@ at their usual rate; a delay does the opposite. If the recorder's clock is the s
 both times. Messages are held for a moment only while a step is suspected.
 """
 
-from collections import deque
+from __future__ import annotations
+
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from statistics import median
@@ -15,28 +17,40 @@ LEAST_STEP_NS, _STEADY_NS = 30_000_000, 100_000_000
 _WINDOW = 15
 _LEAST_KNOWN, _LEAST_MOVED = 5, 3
 _CONFIRM_NS, _MOST_NS, _MOST_HELD = 300_000_000, 1_000_000_000, 500
+# A stream is regular whose steps differ by less than this share; crowded are stamps that follow in this share of one.
+_REGULAR, _CROWDED, _MIXED = 0.7, 0.6, 0.3
+_MOST_CROWDED_NS = 30_000_000_000
 _PATIENCE = 20
 """How often log time may go back, without a step, before the file counts as unordered."""
 
 
 class Timed(NamedTuple):
-    """A message with its topic, header stamp (None without one) and log time."""
+    """A message with its topic, header stamp (None without one) and log time; `shift_ns` is in the stamp already."""
 
     topic: str
     stamp_ns: int | None
     log_ns: int
     message: Any
+    shift_ns: int = 0
+
+    def shifted(self, shift_ns: int) -> Timed:
+        """Return the message with a corrected stamp."""
+        stamp_ns = self.stamp_ns + shift_ns if self.stamp_ns else self.stamp_ns
+        return self._replace(stamp_ns=stamp_ns, shift_ns=self.shift_ns + shift_ns)
 
 
 @dataclass(slots=True)
 class _Stream:
     lags_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     periods_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    #: From stamp to stamp.
+    steps_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     last: tuple[int, int] = (0, 0)
 
     def take(self, stamp_ns: int, log_ns: int) -> None:
         if self.lags_ns:
             self.periods_ns.append(log_ns - self.last[1])
+            self.steps_ns.append(stamp_ns - self.last[0])
         self.lags_ns.append(log_ns - stamp_ns)
         self.last = (stamp_ns, log_ns)
 
@@ -48,6 +62,22 @@ class _Stream:
         margin_ns = max(LEAST_STEP_NS, high_ns - low_ns)
         return 0 if low_ns - margin_ns <= lag_ns <= high_ns + margin_ns else lag_ns - int(median(self.lags_ns))
 
+    def is_crowded(self, stamp_ns: int, last_ns: int | None = None) -> bool:
+        """Return whether a stamp follows the last too soon for a stream that was regular."""
+        gap_ns = stamp_ns - (self.last[0] if last_ns is None else last_ns)
+        is_close = bool(self.steps_ns) and gap_ns < _CROWDED * self.steps_ns[-1]
+        return is_close and self.is_regular and gap_ns < _CROWDED * min(self.steps_ns)
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether its stamps come at one rate."""
+        return len(self.steps_ns) >= _LEAST_KNOWN and min(self.steps_ns) > _REGULAR * max(self.steps_ns)
+
+    def num_crowded(self, seen: list[tuple[int, int]]) -> int:
+        """Return how many of some messages are too close to the one before."""
+        before_ns = [self.last[0], *(stamp_ns for stamp_ns, _ in seen)]
+        return sum(self.is_crowded(stamp_ns, last_ns) for last_ns, (stamp_ns, _) in zip(before_ns, seen, strict=False))
+
     def lasting_ns(self, seen: list[tuple[int, int]]) -> int:
         """Return by how much stamps moved for good; 0 if they did not, or if messages came late instead."""
         moved_ns = [self.moved_ns(*times) for times in seen]
@@ -56,7 +86,7 @@ class _Stream:
             return 0
         last, period_ns = seen[first - 1] if first else self.last, median(self.periods_ns)
         off_ns, log_off_ns = (abs(now - then - period_ns) for now, then in zip(seen[first], last, strict=True))
-        return moved_ns[first] if off_ns > log_off_ns else 0
+        return int(median(moved_ns[first:])) if off_ns > log_off_ns else 0
 
     def back_ns(self, stamp_ns: int, log_ns: int) -> int:
         """Return how far both times were set back; 0 if they do not go back."""
@@ -74,8 +104,12 @@ class ClockSteps:
         self.texts: dict[str, bool] = {}
         self._streams: dict[str, _Stream] = {}
         self._held: list[Timed] = []
+        self._shifts_ns: dict[str, int] = {}
         self._newest_log_ns = 0
         self._num_unordered = 0
+        # While two times lie between each other: since when, and how often a stream was regular again.
+        self._crowded_ns: int | None = None
+        self._calm: Counter[str] = Counter()
 
     def lag_ns(self, topic: str) -> int | None:
         """Return the usual time from stamp to log time, None if it is not steady or there are few messages."""
@@ -84,8 +118,14 @@ class ClockSteps:
         return int(median(lags_ns)) if is_steady else None
 
     def numbered(self, messages: Iterable[Timed]) -> Iterator[tuple[Timed, int]]:
-        """Yield each message with the number of steps back before it."""
+        """Yield each message with the number of steps back before it; -1 for one whose time is not certain."""
         for timed in messages:
+            if timed.topic in self._shifts_ns:
+                timed = timed.shifted(self._shifts_ns[timed.topic])
+            if self._crowded_ns is not None:
+                self._calm_down(timed)
+                yield timed, -1
+                continue
             if not self._held and not self._is_odd(timed):
                 self._take(timed)
                 yield timed, self.number
@@ -96,6 +136,25 @@ class ClockSteps:
                 yield from self._decided(is_last=span_ns > _MOST_NS or len(self._held) >= _MOST_HELD)
         if self._held:
             yield from self._decided(is_last=True)
+        if self._crowded_ns is not None:
+            self._report_crowd(self._newest_log_ns)
+
+    def _calm_down(self, timed: Timed) -> None:
+        self._newest_log_ns = timed.log_ns
+        if timed.stamp_ns and (stream := self._streams.get(timed.topic)) is not None:
+            is_calm = not stream.is_crowded(timed.stamp_ns)
+            self._calm[timed.topic] = self._calm[timed.topic] + 1 if is_calm else 0
+            stream.last = (timed.stamp_ns, timed.log_ns)
+            is_over = self._calm[timed.topic] >= _LEAST_MOVED and stream.is_regular
+            if is_over or timed.log_ns - (self._crowded_ns or 0) > _MOST_CROWDED_NS:
+                self._report_crowd(timed.log_ns)
+                self._streams, self._calm, self.number = {}, Counter(), self.number + 1
+
+    def _report_crowd(self, end_ns: int) -> None:
+        assert self._crowded_ns is not None
+        text = f"from log time {self._crowded_ns / 1e9:.3f} s to {end_ns / 1e9:.3f} s messages of two times are mixed"
+        self._crowded_ns = None
+        self.texts[f"{text}, as if sorted after a clock was set back: they are left out; play the unsorted log"] = True
 
     def _take(self, timed: Timed) -> None:
         self._newest_log_ns = max(self._newest_log_ns, timed.log_ns)
@@ -106,7 +165,8 @@ class ClockSteps:
         if not timed.stamp_ns or (stream := self._streams.get(timed.topic)) is None:
             return False
         is_back = timed.log_ns < self._newest_log_ns - LEAST_STEP_NS and self._num_unordered < _PATIENCE
-        return is_back or stream.moved_ns(timed.stamp_ns, timed.log_ns) != 0
+        is_moved = stream.moved_ns(timed.stamp_ns, timed.log_ns) != 0
+        return is_back or is_moved or stream.is_crowded(timed.stamp_ns)
 
     def _decided(self, *, is_last: bool) -> Iterator[tuple[Timed, int]]:
         by_topic: dict[str, list[tuple[int, int]]] = {}
@@ -119,26 +179,49 @@ class ClockSteps:
         if is_back and often & back.keys():
             yield from self._stepped(max(back.values()), goes_with_log=True)
             return
+        regular = [(self._streams[name], by_topic[name]) for name in often if self._streams[name].is_regular]
+        crowded = [stream.num_crowded(seen) >= _MIXED * len(seen) for stream, seen in regular]
+        if len(crowded) > 1 and all(crowded) and not self._has_twins():
+            self._crowded_ns = self._held[0].log_ns
+            held, self._held = self._held, []
+            for timed in held:
+                self._calm_down(timed)
+                yield timed, -1
+            return
         moved = {name: off_ns for name, seen in by_topic.items() if (off_ns := self._streams[name].lasting_ns(seen))}
         step_ns = int(median(moved.values())) if moved else 0
         agreed = {name for name, off_ns in moved.items() if _is_same(off_ns, step_ns)}
         stayed = [name for name, seen in by_topic.items() if not self._streams[name].moved_ns(*seen[-1])]
-        if agreed & often and (not stayed or (is_last and len(agreed) > len(stayed))):
+        if agreed & often and not stayed:
             yield from self._stepped(step_ns, goes_with_log=False)
         elif not moved or is_last:
-            if agreed & often:
-                self._report(step_ns, f"the clock of {', '.join(sorted(agreed))} alone was", "others went on", True)
-            self._num_unordered += is_back
-            for name in by_topic:
-                self._streams[name].lags_ns.clear()
             held, self._held = self._held, []
+            if agreed & often:
+                clock = f"the clock of {', '.join(sorted(agreed))} alone was"
+                self._report(held[0], step_ns, clock, "others went on, and its stamps are corrected", False)
+                self._shifts_ns |= {name: self._shifts_ns.get(name, 0) + step_ns for name in agreed}
+                held = [self._corrected(timed, step_ns) if timed.topic in agreed else timed for timed in held]
+            self._num_unordered += is_back
+            for name in by_topic.keys() - agreed:
+                self._streams[name].lags_ns.clear()
             for timed in held:
                 self._take(timed)
                 yield timed, self.number
 
+    def _corrected(self, timed: Timed, step_ns: int) -> Timed:
+        is_after = timed.stamp_ns and _is_same(
+            self._streams[timed.topic].moved_ns(timed.stamp_ns, timed.log_ns), step_ns
+        )
+        return timed.shifted(step_ns) if is_after else timed
+
+    def _has_twins(self) -> bool:
+        # Messages that were recorded twice, as by logs that overlap.
+        seen = Counter((t.topic, t.stamp_ns, bytes(getattr(t.message, "data", b""))) for t in self._held if t.stamp_ns)
+        return max(seen.values(), default=0) > 1
+
     def _stepped(self, step_ns: int, *, goes_with_log: bool) -> Iterator[tuple[Timed, int]]:
         result = "frames before and after it keep their own poses" if step_ns > 0 else "no frame is lost by it"
-        self._report(step_ns, "the robot's clock was", result, False)
+        self._report(self._held[0], step_ns, "the robot's clock was", result, False)
         (held, self._held), (streams, self._streams) = (self._held, []), (self._streams, {})
         before, self.number = self.number, self.number + (step_ns > 0)
         self._newest_log_ns = held[0].log_ns
@@ -153,8 +236,8 @@ class ClockSteps:
                 self._take(timed)
                 yield timed, self.number
 
-    def _report(self, step_ns: int, clock: str, result: str, is_harmful: bool) -> None:
-        way, at_s = "back" if step_ns > 0 else "ahead", self._held[0].log_ns / 1e9
+    def _report(self, first: Timed, step_ns: int, clock: str, result: str, is_harmful: bool) -> None:
+        way, at_s = "back" if step_ns > 0 else "ahead", first.log_ns / 1e9
         text = f"{clock} set {way} by {abs(step_ns) / 1e9:.2f} s at log time {at_s:.3f} s: {result}"
         self.texts[text] = is_harmful
 

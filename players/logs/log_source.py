@@ -203,8 +203,12 @@ class LogSource:
         timelines = {name: Timeline() for name in roles}
         for timed, clock in self._timed(ledger):
             message = timed.message
+            if clock < 0:
+                ledger.count("time_not_certain")
+                ledger.reject(message.topic, "time_not_certain")
+                continue
             if message.topic not in roles:
-                reader.add(message, clock)
+                reader.add(message, clock, timed.shift_ns)
                 if self.setup.is_live:
                     if ledger.read[message.topic] % _FORGET_EVERY == 0:
                         # Poses are otherwise dropped per frame: without images, a camera that is off would fill the

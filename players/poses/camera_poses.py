@@ -172,14 +172,17 @@ class PoseReader:
         self.error = ""
         self.rejected: Counter[str] = Counter()
 
-    def add(self, message: LogMessage, clock: int = 0) -> None:
-        """Take one message of one of the topics; `clock` counts the steps of the robot's clock before it."""
+    def add(self, message: LogMessage, clock: int = 0, shift_ns: int = 0) -> None:
+        """Take one message of one of the topics; `clock` counts the steps of the robot's clock before it.
+
+        `shift_ns` corrects the stamps of its poses.
+        """
         topic = self._topics[message.topic]
         self.seen.add(topic.name)
         if topic.type_name == CAMERA_INFO:
             self._add_info(topic, message)
         else:
-            self._add_poses(topic, message, clock)
+            self._add_poses(topic, message, clock, shift_ns)
 
     def load(self, stream: PoseStream, stamps_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> None:
         """Take a whole trajectory, as from a file."""
@@ -270,7 +273,7 @@ class PoseReader:
         elif is_set and (known.layout != info.layout or np.abs(known.K - info.K).max() > 1e-6):
             self.fates["camera_info_changed"] += 1
 
-    def _add_poses(self, topic: Topic, message: LogMessage, clock: int) -> None:
+    def _add_poses(self, topic: Topic, message: LogMessage, clock: int, shift_ns: int) -> None:
         try:
             poses = poses_of(topic.type_name, deserialize(topic, message.data))
         except (UnreadableMessageError, AttributeError) as error:  # A damaged definition lacks fields.
@@ -297,7 +300,7 @@ class PoseReader:
                 else:
                     # Each link has its own clock: one that is wrong does no harm to the others.
                     timeline = self._timelines.setdefault(key, Timeline())
-                    self._place(key, timeline.add(pose.stamp_ns, pose, clock))
+                    self._place(key, timeline.add(pose.stamp_ns + shift_ns, pose, clock))
         if num_bad:
             self.fates["bad_pose"] += num_bad
             self.rejected[topic.name] += num_bad == len(poses)
