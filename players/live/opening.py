@@ -62,7 +62,7 @@ class LiveMapSource(SourceAround):
 
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the messages, and how often the robot's clock was set."""
-        steps = self._log.clock_offset.num_steps
+        steps = max(self._log.clock_offset.num_steps, self._log_source.num_clock_steps)
         return {**self._source.ledger(), **({"clock_steps": steps} if steps else {})}
 
     def account(self) -> Account:

@@ -123,8 +123,7 @@ class ClockSteps:
             if timed.topic in self._shifts_ns:
                 timed = timed.shifted(self._shifts_ns[timed.topic])
             if self._crowded_ns is not None:
-                self._calm_down(timed)
-                yield timed, -1
+                yield timed, self._calm_down(timed)
                 continue
             if not self._held and not self._is_odd(timed):
                 self._take(timed)
@@ -139,9 +138,11 @@ class ClockSteps:
         if self._crowded_ns is not None:
             self._report_crowd(self._newest_log_ns)
 
-    def _calm_down(self, timed: Timed) -> None:
+    def _calm_down(self, timed: Timed) -> int:
         self._newest_log_ns = timed.log_ns
-        if timed.stamp_ns and (stream := self._streams.get(timed.topic)) is not None:
+        if not timed.stamp_ns:
+            return self.number
+        if (stream := self._streams.get(timed.topic)) is not None:
             is_calm = not stream.is_crowded(timed.stamp_ns)
             self._calm[timed.topic] = self._calm[timed.topic] + 1 if is_calm else 0
             stream.last = (timed.stamp_ns, timed.log_ns)
@@ -149,6 +150,7 @@ class ClockSteps:
             if is_over or timed.log_ns - (self._crowded_ns or 0) > _MOST_CROWDED_NS:
                 self._report_crowd(timed.log_ns)
                 self._streams, self._calm, self.number = {}, Counter(), self.number + 1
+        return -1
 
     def _report_crowd(self, end_ns: int) -> None:
         assert self._crowded_ns is not None
@@ -185,8 +187,7 @@ class ClockSteps:
             self._crowded_ns = self._held[0].log_ns
             held, self._held = self._held, []
             for timed in held:
-                self._calm_down(timed)
-                yield timed, -1
+                yield timed, self._calm_down(timed)
             return
         moved = {name: off_ns for name, seen in by_topic.items() if (off_ns := self._streams[name].lasting_ns(seen))}
         step_ns = int(median(moved.values())) if moved else 0

@@ -95,6 +95,11 @@ class LogSource:
         gaps = dict.fromkeys([text] if (text := self.gaps.finding()) else [], True)
         return {**dict.fromkeys(self.setup.findings, False), **self._clock.texts, **lag, **gaps, **found}
 
+    @property
+    def num_clock_steps(self) -> int:
+        """How often a clock was set in the latest pass."""
+        return len(self._clock.texts)
+
     def with_plan(self, plan: PosePlan) -> LogSource:
         """Return the same log with poses from another plan.
 
@@ -250,7 +255,7 @@ class LogSource:
                 stamp_ns = serialized_stamp_ns(topics[name], message.data) if stamped else None
                 yield Timed(name, stamp_ns, message.log_ns, message)
 
-        if uses_log or setup.is_live:
+        if uses_log:
             return ((timed, 0) for timed in messages())
         return self._clock.numbered(messages())
 
