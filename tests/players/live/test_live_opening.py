@@ -1,5 +1,6 @@
 """A live route is opened when all that mapping needs has come, and says what it waits for until then."""
 
+import time
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -139,6 +140,34 @@ def test_a_robot_restarted_at_clock_zero_is_still_mapped():
     assert len([stamp_ns for stamp_ns in stamps if stamp_ns < 10_000_000_000]) == 6
     assert source.ledger()["clock_steps"] == 1
     assert unaccounted(source, route) == {}
+
+
+@pytest.mark.parametrize("back_s", [0.3, 0.8])
+def test_a_clock_that_is_set_back_a_little_is_found(back_s):
+    packets, now_ns = scene_packets(40), [0]
+    middle_ns, back_ns = packets[len(packets) // 2].stamp_ns, round(back_s * 1e9)
+
+    class Timely(ScriptedRoute):
+        def send(self, packets) -> None:
+            for packet in packets:
+                now_ns[0] = packet.stamp_ns - time.monotonic_ns()
+                is_after = packet.stamp_ns >= middle_ns and "static" not in packet.topic.name
+                data = restamped(packet.topic, packet.data, -back_ns) if is_after else packet.data
+                super().send([replace(packet, data=data)])
+
+    route = Timely(at_start=packets)
+    source = opened(route, inbox=Inbox(clock=lambda: now_ns[0] + time.monotonic_ns()))
+    route.end()
+    frames = list(source.frames())
+    truth = {frame.stamp_ns: frame.world_from_camera for frame in make_scene(num_frames=40)}
+    places = [
+        truth[frame.stamp_ns + back_ns * (i >= sum(ns < middle_ns for ns in truth))] for i, frame in enumerate(frames)
+    ]
+    assert len(frames) == 40
+    for frame, place in zip(frames, places, strict=True):
+        np.testing.assert_allclose(frame.world_from_camera, place, atol=2e-3)
+    assert source.ledger()["clock_steps"] == 1
+    assert f"the robot's clock was set back by {back_s:.2f} s" in source.account().findings[0]
 
 
 def test_doubled_and_reordered_messages_are_counted():
