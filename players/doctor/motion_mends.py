@@ -60,9 +60,9 @@ def depth_unit_of(source: Source) -> DepthUnit:
         return DepthUnit(units_per_m=source.depth_units_per_m, key="depth_scale")
     if not isinstance(source, LogSource):
         return DepthUnit()
-    is_float = source.setup.has_float_depth
+    is_float, scale = source.setup.has_float_depth, source.setup.corrections.depth_scale
     return DepthUnit(
-        units_per_m=1.0 if is_float else source.setup.depth_units_per_m,
+        units_per_m=1.0 / scale if is_float else source.setup.depth_units_per_m,
         key="depth_scale" if is_float else "depth_units_per_m",
     )
 

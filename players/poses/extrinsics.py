@@ -34,7 +34,8 @@ _MOTION_NS = 1_000_000_000
 def are_assumed(source: LogSource) -> bool:
     """Return whether the camera's pose on the body comes from the profile rather than from the log."""
     plan = source.setup.plan
-    return plan.stream is not None and plan.is_static and plan.extrinsics.startswith("profile")
+    is_turned = source.setup.corrections.frame_from_optical is not None
+    return plan.stream is not None and plan.is_static and plan.extrinsics.startswith("profile") and not is_turned
 
 
 def estimated_extrinsics(source: LogSource) -> HandEye | NoHandEye:
@@ -73,6 +74,9 @@ def with_estimated_extrinsics(source: LogSource) -> LogSource:
 
     Raises `CalibrationError`: the motion does not determine that pose.
     """
+    if source.setup.corrections.frame_from_optical is not None:
+        found_axes = "found camera_axes in the profile with --extrinsics estimate, which estimates them too"
+        raise CalibrationError(f"{source.info.uri}: {found_axes}; leave one of them out")
     found = estimated_extrinsics(source)
     if isinstance(found, NoHandEye):
         raise CalibrationError(

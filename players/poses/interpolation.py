@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, rotation_from_quaternion
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    interpolate,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 
 HOLD_NS = 20_000_000
 """How long a pose replaces a missing one: at 1 m/s and 1 rad/s, an error of 2 cm and 1.1 degrees."""
@@ -77,6 +82,11 @@ def is_pose_row(row: Sequence[float]) -> bool:
 def pose_of_row(row: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pose (4, 4) of tx ty tz qx qy qz qw."""
     return from_rotation_translation(rotation_from_quaternion(*row[3:].tolist()), row[:3])
+
+
+def row_of_pose(pose: NDArray[np.float64]) -> list[float]:
+    """Return tx ty tz qx qy qz qw of a pose (4, 4)."""
+    return [*pose[:3, 3].tolist(), *quaternion_from_rotation(pose[:3, :3]).tolist()]
 
 
 def nearest_rigid(a_from_b: NDArray[Any], tolerance: float = 0.02) -> NDArray[np.float64] | None:

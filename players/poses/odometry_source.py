@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
-from hickory_stream.geometry.rigid import compose, invert, no_directions, quaternion_from_rotation, turned_directions
+from hickory_stream.geometry.rigid import compose, invert, no_directions, turned_directions
 from hickory_stream.ports import NotRegistered, Registered, Source, SourceAround
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.upright import up_in
 from players.logs.log_source import LogSource
-from players.poses.interpolation import world_from_down
+from players.poses.interpolation import row_of_pose, world_from_down
 from players.poses.tf import FrameTree
 from players.poses.tracks import GrowingTrack
 
@@ -157,7 +157,7 @@ class OdometrySource(SourceAround):
                 step = _step(known, last_ns, sweep.stamp_ns, camera_from_lidar)
                 found = results.add(odometry.register(sweep, step), sweep)
                 if found is not None:
-                    track.add(sweep.stamp_ns, _row(found.start_from_sensor))
+                    track.add(sweep.stamp_ns, row_of_pose(found.start_from_sensor))
                     last_ns = sweep.stamp_ns
                     # How the sensors lie to each other turns a direction; that they are apart hardly matters.
                     degenerate = turned_directions(camera_from_lidar, found.degenerate)
@@ -170,7 +170,7 @@ class OdometrySource(SourceAround):
             is_ended = raw is None
             if raw is not None:
                 if raw.is_posed:
-                    known.add(raw.stamp_ns, _row(raw.world_from_camera))
+                    known.add(raw.stamp_ns, row_of_pose(raw.world_from_camera))
                 waiting.append(raw)
             take(None if raw is None else raw.stamp_ns)
             while waiting and (is_ended or (last_ns is not None and track.reaches(waiting[0].stamp_ns))):
@@ -248,11 +248,13 @@ def _lidar_of(source: Source) -> tuple[str, NDArray[np.float64], str]:
         raise RecordingError(f"{source.info.uri}: {topics[0]} holds no sweep that can be read")
     setup = source.setup
     chain = setup.tree.chain(setup.color_frame, first.frame) if setup.tree is not None else None
-    if chain is not None and chain.is_static and (camera_from_lidar := chain.at(0)) is not None:
+    if chain is not None and chain.is_static and (frame_from_lidar := chain.at(0)) is not None:
+        camera_from_lidar = invert(setup.corrections.turned(invert(frame_from_lidar)))
         return topics[0], camera_from_lidar, f"TF of the log: {' <- '.join(chain.frames)}"
     if setup.rig is not None and setup.rig.lidar:
         linked = FrameTree(setup.rig.links).chain(setup.rig.color, setup.rig.lidar)
-        if linked is not None and (camera_from_lidar := linked.at(0)) is not None:
+        if linked is not None and (frame_from_lidar := linked.at(0)) is not None:
+            camera_from_lidar = invert(setup.corrections.turned(invert(frame_from_lidar)))
             return topics[0], camera_from_lidar, f"profile: {' <- '.join(linked.frames)}"
     raise CalibrationError(
         f"{source.info.uri}: no static transform from the LiDAR's frame {first.frame} to the camera's "
@@ -268,10 +270,6 @@ def _step(
     if before is None or now is None:
         return None
     return compose(invert(camera_from_lidar), invert(before), now, camera_from_lidar)
-
-
-def _row(pose: NDArray[np.float64]) -> list[float]:
-    return [*pose[:3, 3].tolist(), *quaternion_from_rotation(pose[:3, :3]).tolist()]
 
 
 def _frame_of(

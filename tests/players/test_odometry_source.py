@@ -159,6 +159,23 @@ def test_a_pose_topic_predicts_how_the_lidar_moved(tmp_path):
     np.testing.assert_allclose(poses[-1][:3, 3], true[-1][:3, 3], atol=0.02)
 
 
+def test_camera_axes_turn_the_link_to_the_lidar_too(tmp_path):
+    profile, log = tmp_path / "axes.toml", swept_log(tmp_path, with_odometry=True)
+    profile.write_text('camera_axes = "-y -z x"\n')
+    _, plain = poses_of(open_source(log, SourceOptions(odometry="lidar")))
+    _, turned = poses_of(open_source(log, SourceOptions(odometry="lidar", profile=str(profile))))
+    axes = from_rotation_translation(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
+    for before, after in zip(plain, turned, strict=True):
+        np.testing.assert_allclose(after, before @ axes, atol=1e-3)
+
+
+def test_camera_axes_and_estimated_extrinsics_exclude_each_other(tmp_path):
+    profile = tmp_path / "axes.toml"
+    profile.write_text('base = "zed"\ncamera_axes = "-y -z x"\n')
+    with pytest.raises(CalibrationError, match="found camera_axes in the profile with --extrinsics estimate"):
+        open_source(DEMO, SourceOptions(extrinsics="estimate", profile=str(profile)))
+
+
 def test_a_frame_says_what_the_scans_left_open(tmp_path):
     endless = replace(HALL, length_m=60.0, width_m=3.0, range_m=10.0)
     source = open_source(swept_log(tmp_path, with_odometry=True, hall=endless), SourceOptions(odometry="lidar"))

@@ -17,7 +17,6 @@ from hickory_stream.geometry.rigid import (
     compose,
     from_rotation_translation,
     invert,
-    quaternion_from_rotation,
     rotation_of_vector,
 )
 from players.logs.layouts.folder import FolderSource, FolderView
@@ -35,7 +34,7 @@ from players.logs.layouts.folder_text import (
 from players.logs.layouts.frame_collector import FrameCollector, Pose, Sizes, by_number, color_files, is_there, sizes_of
 from players.messages.calibration import Lens
 from players.options import DEFAULT_MAX_POSE_GAP_NS, SourceOptions
-from players.poses.interpolation import is_pose_row, pose_of_row, track_of
+from players.poses.interpolation import is_pose_row, pose_of_row, row_of_pose, track_of
 from players.profile import Intrinsics, load_profile
 
 _ARKIT_TOLERANCE_NS, _MOST_TURN_RAD = 5_000_000, 100.0
@@ -115,7 +114,7 @@ def open_arkit_scenes(folder: Path, options: SourceOptions) -> FolderSource:
         if np.isfinite(row).all() and np.abs(row[:3]).max() < _MOST_TURN_RAD:
             world_from_camera = invert(from_rotation_translation(rotation_of_vector(row[:3]), row[3:]))
             stamps_ns.append(stamp_ns)
-            rows.append([*world_from_camera[:3, 3], *quaternion_from_rotation(world_from_camera[:3, :3])])
+            rows.append(row_of_pose(world_from_camera))
     track = track_of(stamps_ns, rows, options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
     found = FrameCollector(folder, profile, options)
     sizes: Sizes | None = None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
@@ -31,10 +31,10 @@ from players.logs.layouts.folder import FolderContent, FolderFrame, FolderSource
 from players.logs.synchronizer import Leftover, Stamped, pair_nearest
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import compressed_size, decode_color
-from players.options import NO_TOPIC, SourceOptions
-from players.poses.interpolation import world_from_down
+from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
+from players.poses.interpolation import row_of_pose, track_of, world_from_down
 from players.poses.pose_gaps import PoseGaps
-from players.profile import Intrinsics, Profile
+from players.profile import Corrections, Intrinsics, Profile
 
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 # The images that are searched for level surfaces, and the cosine of 4 degrees, within which an axis of the log is up.
@@ -47,6 +47,7 @@ ROLES = ("color", "depth", "camera_info", "pose", "stamps")
 _UNITS = Range(low=1e-3, high=1e9, unit="units in a metre")
 
 Pose = NDArray[np.float64] | None
+_Found = tuple[int, ImageFile, ImageFile, Pose, FolderView | None]
 Sizes = tuple[tuple[int, int], tuple[int, int]]
 """(width, height) of colour, and of depth."""
 
@@ -73,7 +74,7 @@ class FrameCollector:
         self._color_from_depth = shift if color_from_depth is None else color_from_depth
         self._depth_from_color = invert(self._color_from_depth)
         self._profile = profile
-        self._found: list[tuple[int, ImageFile, ImageFile, Pose, FolderView | None]] = []
+        self._found: list[_Found] = []
         self._fates: Counter[str] = Counter()
         self._unposed: list[tuple[int, ImageFile]] = []
 
@@ -165,7 +166,9 @@ class FrameCollector:
         if not self._found:
             error = NoPosesError if self._unposed and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
-        usual = None
+        corrections, usual = self._profile.corrections, None
+        if corrections.pose_offset_ns or corrections.depth_offset_ns:
+            self._found = list(self._at_other_times(corrections))
         origins = dict(zip(ROLES, streams, strict=True) if isinstance(streams, tuple) else streams)
         if depth_intrinsics is not None:
             sizes = sizes_of(found[1:3] for found in self._found)
@@ -181,12 +184,14 @@ class FrameCollector:
             assert view is not None
             frames.append(FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=pose, view=view))
         world_from_log, up = self._upright(frames)
-        turned = self._profile.corrections.turned
         content = FolderContent(
             kind=kind,
             sensor=self._profile.sensor,
+            depth_scale=corrections.depth_scale,
             frames=tuple(
-                replace(frame, world_from_camera=turned(compose(world_from_log, pose, self._depth_from_color)))
+                replace(
+                    frame, world_from_camera=corrections.turned(compose(world_from_log, pose, self._depth_from_color))
+                )
                 if (pose := frame.world_from_camera) is not None
                 else frame
                 for frame in frames
@@ -199,6 +204,26 @@ class FrameCollector:
             gaps=self._gaps(),
         )
         return FolderSource(self._folder, content)
+
+    def _at_other_times(self, corrections: Corrections) -> Iterator[_Found]:
+        # Poses and depth by their corrected stamps; the frames are their only ones.
+        found = sorted(self._found, key=itemgetter(0))
+        stamps_ns = np.array([stamp_ns for stamp_ns, *_ in found])
+        near_ns = np.median(np.diff(stamps_ns)) if len(found) > 1 else 0
+        posed = {stamp_ns: row_of_pose(pose) for stamp_ns, _, _, pose, _ in found if pose is not None}
+        track = track_of(list(posed), list(posed.values()), DEFAULT_MAX_POSE_GAP_NS)
+        for stamp_ns, color, _, pose, view in found:
+            off_ns = np.abs(stamps_ns + corrections.depth_offset_ns - stamp_ns)
+            if off_ns.min() > near_ns / 2:
+                self._fates["color_without_depth"] += 1
+                continue
+            if pose is not None:
+                pose = track.at(stamp_ns - corrections.pose_offset_ns) if track is not None else None
+                if pose is None and not self._estimates_poses:
+                    self._fates["no_pose"] += 1
+                    self._unposed.append((stamp_ns, color))
+                    continue
+            yield stamp_ns, color, found[int(off_ns.argmin())][2], pose, view
 
     def _gaps(self) -> PoseGaps:
         gaps = PoseGaps()
@@ -225,8 +250,7 @@ class FrameCollector:
             color_camera=(color or depth).camera(sizes[0], str(self._folder)),
             color_from_depth=self._color_from_depth,
         )
-        units_per_m = depth_units_per_m / self._profile.corrections.depth_scale
-        return FolderView(registration=registration, depth_units_per_m=units_per_m)
+        return FolderView(registration=registration, depth_units_per_m=depth_units_per_m)
 
     def _upright(self, frames: Sequence[FolderFrame]) -> tuple[NDArray[np.float64], str]:
         # The rotation (4, 4) from the log's world to the upright one, and its origin in words.
@@ -242,7 +266,9 @@ class FrameCollector:
         rough_up = np.array(self._rough_up)
         for frame in posed[:: max(1, len(posed) // _LEVEL_IMAGES)]:
             try:
-                up = up_in(scan_of_depth(decoded(frame, self._profile.sensor)), rough_up)
+                up = up_in(
+                    scan_of_depth(decoded(frame, self._profile.sensor, self._profile.corrections.depth_scale)), rough_up
+                )
             except RecordingError:
                 continue
             if up is not None:
