@@ -105,40 +105,27 @@ def motion_warnings(
     return warnings_of(motions, source)
 
 
-class MotionWatch:
-    """Compares poses and images of a running source; its warnings are given once, and stop nothing."""
-
-    def __init__(self, source: Source) -> None:
-        self.reasons: list[str] = []
-        self._source = source
-        self._thread: threading.Thread | None = None
-
-    def watched(self, frames: Iterator[RawFrame]) -> Iterator[RawFrame]:
-        """Yield the frames; images that are compared are decoded once."""
-        motions = MotionSampler()
-        for number, frame in enumerate(frames):
-            if self._thread is not None:
-                yield frame
-                continue
+def watched(source: Source, frames: Iterator[RawFrame], reasons: list[str]) -> Iterator[RawFrame]:
+    """Yield the frames of a running source; `reasons` gets what is certainly wrong, once, while the frames go on."""
+    motions = MotionSampler()
+    thread = threading.Thread(target=_warn, args=(motions, source, reasons), name="motion-watch", daemon=True)
+    for number, frame in enumerate(frames):
+        raw = frame
+        if thread.ident is None:
             raw = replace(frame, decode=cache(frame.decode))
             motions.add(raw)
             if motions.num_moving >= STEPS or number >= _MOST_LIVE_FRAMES:
-                self._compare(motions)
-            yield raw
-        if self._thread is None:
-            self._compare(motions)
-        assert self._thread is not None
-        self._thread.join()
+                thread.start()
+        yield raw
+    if thread.ident is None:
+        thread.start()
+    thread.join()
 
-    def _compare(self, motions: MotionSampler) -> None:
-        # The frames go on meanwhile.
-        def compare() -> None:
-            self.reasons, _ = warnings_of(motions, self._source)
-            for reason in self.reasons:
-                logger.warning("%s", reason)
 
-        self._thread = threading.Thread(target=compare, name="motion-watch", daemon=True)
-        self._thread.start()
+def _warn(motions: MotionSampler, source: Source, reasons: list[str]) -> None:
+    for reason in warnings_of(motions, source)[0]:
+        reasons.append(reason)
+        logger.warning("%s", reason)
 
 
 def warnings_of(motions: MotionSampler, source: Source) -> tuple[list[str], bool]:

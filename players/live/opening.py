@@ -12,7 +12,7 @@ from typing import NamedTuple
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.ports import SourceAround
 from hickory_stream.records import RawFrame, SourceInfo
-from players.doctor.motion_mends import MotionWatch
+from players.doctor.motion_mends import watched
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.recorder import Recorder
@@ -47,7 +47,7 @@ class LiveMapSource(SourceAround):
         self._recorder = recorder
         self._log = log
         self._log_source = source
-        self._motion = MotionWatch(source)
+        self._warnings: list[str] = []
 
     @property
     def info(self) -> SourceInfo:
@@ -58,7 +58,7 @@ class LiveMapSource(SourceAround):
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames as they arrive, until the route ends or `interrupt` is called."""
         self._log.begin()
-        return self._motion.watched(self._source.frames())
+        return watched(self._log_source, self._source.frames(), self._warnings)
 
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the messages, and how often the robot's clock was set."""
@@ -73,7 +73,7 @@ class LiveMapSource(SourceAround):
         for name in sorted(self._log.hidden):
             number = self._log.declared()[name]
             entries.append(TopicAccount(topic=name, declared=number, not_needed=number))
-        findings = (*kept.findings, *self._motion.reasons)
+        findings = (*kept.findings, *self._warnings)
         return replace(kept, topics=tuple(entries), explanation=self._log.inbox.end_reason, findings=findings)
 
     def status(self) -> LiveStatus:

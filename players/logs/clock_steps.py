@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -62,10 +63,9 @@ class _Stream:
         margin_ns = max(LEAST_STEP_NS, high_ns - low_ns)
         return 0 if low_ns - margin_ns <= lag_ns <= high_ns + margin_ns else lag_ns - int(median(self.lags_ns))
 
-    def is_crowded(self, stamp_ns: int, last_ns: int | None = None) -> bool:
-        """Return whether a stamp follows the last too soon for a stream that was regular."""
-        gap_ns = stamp_ns - (self.last[0] if last_ns is None else last_ns)
-        is_close = bool(self.steps_ns) and gap_ns < _CROWDED * self.steps_ns[-1]
+    def is_crowded(self, gap_ns: int) -> bool:
+        """Return whether a stamp follows too soon for a stream that was regular."""
+        is_close = bool(self.steps_ns) and 0 <= gap_ns < _CROWDED * self.steps_ns[-1]
         return is_close and self.is_regular and gap_ns < _CROWDED * min(self.steps_ns)
 
     @property
@@ -73,10 +73,10 @@ class _Stream:
         """Whether its stamps come at one rate."""
         return len(self.steps_ns) >= _LEAST_KNOWN and min(self.steps_ns) > _REGULAR * max(self.steps_ns)
 
-    def num_crowded(self, seen: list[tuple[int, int]]) -> int:
-        """Return how many of some messages are too close to the one before."""
-        before_ns = [self.last[0], *(stamp_ns for stamp_ns, _ in seen)]
-        return sum(self.is_crowded(stamp_ns, last_ns) for last_ns, (stamp_ns, _) in zip(before_ns, seen, strict=False))
+    def is_mixed(self, seen: list[tuple[int, int]]) -> bool:
+        """Return whether many of some messages follow too soon."""
+        stamps_ns = [self.last[0], *(stamp_ns for stamp_ns, _ in seen)]
+        return sum(self.is_crowded(now - then) for then, now in pairwise(stamps_ns)) >= _MIXED * len(seen)
 
     def lasting_ns(self, seen: list[tuple[int, int]]) -> int:
         """Return by how much stamps moved for good; 0 if they did not, or if messages came late instead."""
@@ -143,7 +143,7 @@ class ClockSteps:
         if not timed.stamp_ns:
             return self.number
         if (stream := self._streams.get(timed.topic)) is not None:
-            is_calm = not stream.is_crowded(timed.stamp_ns)
+            is_calm = not stream.is_crowded(timed.stamp_ns - stream.last[0])
             self._calm[timed.topic] = self._calm[timed.topic] + 1 if is_calm else 0
             stream.last = (timed.stamp_ns, timed.log_ns)
             is_over = self._calm[timed.topic] >= _LEAST_MOVED and stream.is_regular
@@ -168,7 +168,7 @@ class ClockSteps:
             return False
         is_back = timed.log_ns < self._newest_log_ns - LEAST_STEP_NS and self._num_unordered < _PATIENCE
         is_moved = stream.moved_ns(timed.stamp_ns, timed.log_ns) != 0
-        return is_back or is_moved or stream.is_crowded(timed.stamp_ns)
+        return is_back or is_moved or stream.is_crowded(timed.stamp_ns - stream.last[0])
 
     def _decided(self, *, is_last: bool) -> Iterator[tuple[Timed, int]]:
         by_topic: dict[str, list[tuple[int, int]]] = {}
@@ -181,9 +181,9 @@ class ClockSteps:
         if is_back and often & back.keys():
             yield from self._stepped(max(back.values()), goes_with_log=True)
             return
-        regular = [(self._streams[name], by_topic[name]) for name in often if self._streams[name].is_regular]
-        crowded = [stream.num_crowded(seen) >= _MIXED * len(seen) for stream, seen in regular]
-        if len(crowded) > 1 and all(crowded) and not self._has_twins():
+        regular = [name for name in often if self._streams[name].is_regular]
+        is_mixed = len(regular) > 1 and all(self._streams[name].is_mixed(by_topic[name]) for name in regular)
+        if is_mixed and not self._has_twins():
             self._crowded_ns = self._held[0].log_ns
             held, self._held = self._held, []
             for timed in held:
@@ -192,28 +192,25 @@ class ClockSteps:
         moved = {name: off_ns for name, seen in by_topic.items() if (off_ns := self._streams[name].lasting_ns(seen))}
         step_ns = int(median(moved.values())) if moved else 0
         agreed = {name for name, off_ns in moved.items() if _is_same(off_ns, step_ns)}
-        stayed = [name for name, seen in by_topic.items() if not self._streams[name].moved_ns(*seen[-1])]
+        known = {name: seen for name, seen in by_topic.items() if len(self._streams[name].lags_ns) >= _LEAST_KNOWN}
+        stayed = [name for name, seen in known.items() if not self._streams[name].moved_ns(*seen[-1])]
         if agreed & often and not stayed:
             yield from self._stepped(step_ns, goes_with_log=False)
         elif not moved or is_last:
-            held, self._held = self._held, []
-            if agreed & often:
+            held, self._held, agreed = self._held, [], agreed if agreed & often else set()
+            if agreed:
                 clock = f"the clock of {', '.join(sorted(agreed))} alone was"
                 self._report(held[0], step_ns, clock, "others went on, and its stamps are corrected", False)
                 self._shifts_ns |= {name: self._shifts_ns.get(name, 0) + step_ns for name in agreed}
-                held = [self._corrected(timed, step_ns) if timed.topic in agreed else timed for timed in held]
             self._num_unordered += is_back
             for name in by_topic.keys() - agreed:
                 self._streams[name].lags_ns.clear()
             for timed in held:
+                if timed.topic in agreed and timed.stamp_ns:
+                    moved_ns = self._streams[timed.topic].moved_ns(timed.stamp_ns, timed.log_ns)
+                    timed = timed.shifted(step_ns if _is_same(moved_ns, step_ns) else 0)
                 self._take(timed)
                 yield timed, self.number
-
-    def _corrected(self, timed: Timed, step_ns: int) -> Timed:
-        is_after = timed.stamp_ns and _is_same(
-            self._streams[timed.topic].moved_ns(timed.stamp_ns, timed.log_ns), step_ns
-        )
-        return timed.shifted(step_ns) if is_after else timed
 
     def _has_twins(self) -> bool:
         # Messages that were recorded twice, as by logs that overlap.

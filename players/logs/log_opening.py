@@ -257,9 +257,7 @@ def contents_of(log: Log) -> dict[str, discovery.Content]:
 def _content(topic: Topic, message: Any) -> discovery.Content:
     if topic.type_name in VIDEOS:
         packet = packet_of(message)
-        return discovery.Content(
-            "video" if codec_of(packet.encoding, packet.data) else "", packet.frame, packet.encoding
-        )
+        return discovery.Content(codec_of(packet.encoding, packet.data), packet.frame, packet.encoding)
     image = image_of(topic, message)
     return discovery.Content(kind_of(image), image.frame)
 

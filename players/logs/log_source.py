@@ -91,9 +91,9 @@ class LogSource:
     def findings(self) -> Mapping[str, bool]:
         """Return faults of transforms and clocks, of the opening and the latest pass, and whether each does harm."""
         found = self._reader.faults() if self._reader is not None else {}
-        lag = dict.fromkeys([text] if (text := self._lag_text()) else [], False)
-        gaps = dict.fromkeys([text] if (text := self.gaps.finding()) else [], True)
-        return {**dict.fromkeys(self.setup.findings, False), **self._clock.texts, **lag, **gaps, **found}
+        found = {self._lag_text(): False, self.gaps.finding(): True, **found}
+        found = {**dict.fromkeys(self.setup.findings, False), **self._clock.texts, **found}
+        return {text: is_harmful for text, is_harmful in found.items() if text}
 
     @property
     def num_clock_steps(self) -> int:
@@ -376,14 +376,11 @@ class LogSource:
     def _lag_text(self) -> str:
         name = next(iter(self.setup.plan.keys), ("",))[0]
         lags_ns = self._clock.lag_ns(self.setup.topics.color.name), self._clock.lag_ns(name)
-        if lags_ns[0] is None or lags_ns[1] is None:
-            return ""
-        late_ns = lags_ns[1] - lags_ns[0]
+        late_ns = 0 if lags_ns[0] is None or lags_ns[1] is None else lags_ns[1] - lags_ns[0]
         is_mended = abs(late_ns - self.setup.corrections.pose_offset_ns) <= _LAG_NS
         if is_mended or not _LAG_NS < abs(late_ns) < _OTHER_CLOCK_NS:
             return ""
-        late_s = late_ns / 1e9
-        way = "behind" if late_s > 0 else "ahead of"
+        late_s, way = late_ns / 1e9, "behind" if late_ns > 0 else "ahead of"
         return (
             f"{name}: by log time its stamps are {abs(late_s):.1f} s {way} the images': its clock is wrong "
             f"({_OFFSET.format(late_ns / 1e6)} or --clock log mends it), or its poses take that long to compute"

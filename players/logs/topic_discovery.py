@@ -31,7 +31,7 @@ class ImageTopics(NamedTuple):
 
 
 class Content(NamedTuple):
-    """The content of a topic's first image: `kind` is "color", "depth", "video" or "", which is not known."""
+    """The content of a topic's first image: `kind` is "color", "depth", a codec, or "" if it is not known."""
 
     kind: str
     frame: str
@@ -78,9 +78,8 @@ def choose_images(
         )
     if videos := [topic for topic in topics if topic.type_name in VIDEOS]:
         content = (contents or {}).get(videos[0].name)
-        how = (
-            "pip install 'hickory-stream[video]' reads it" if content is None or content.kind else f"expected {CODECS}"
-        )
+        is_known = content is None or content.kind
+        how = "pip install 'hickory-stream[video]' reads it" if is_known else f"expected {CODECS}"
         encoding = f" ({content.encoding!r})" if content is not None else ""
         raise RecordingError(f"{path}: {videos[0].name} is video{encoding}: {how}")
     if not images:

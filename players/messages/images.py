@@ -37,13 +37,9 @@ _COARSE_M = 0.09
 # A temporal delimiter and the head of a sequence.
 _AV1_START = b"\x12\x00\x0a\x0a"
 _CODECS = {
-    "h264": ("264", "avc"),
-    "hevc": ("265", "hevc"),
-    "vp8": ("vp8",),
-    "vp9": ("vp9",),
-    "libdav1d": ("av1",),
+    "h264": ("264", "avc"), "hevc": ("265", "hevc"), "vp8": ("vp8",), "vp9": ("vp9",), "libdav1d": ("av1",),
     "ffv1": ("ffv1",),
-}
+}  # fmt: skip
 
 CODECS = "H.264, H.265, VP8, VP9, AV1, or FFV1 up to version 1"
 

@@ -23,7 +23,7 @@ from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.writer import MapFolder
@@ -177,7 +177,8 @@ def run(options: argparse.Namespace) -> int:
     clock = PlaybackClock(rate)
     source = open_from_note(note, clock, settings.mapper.keyframes)
     # Before an existing map is replaced.
-    warn(check_motion(source, note, anyway=options.anyway))
+    reasons = check_motion(source, note, anyway=options.anyway)
+    sys.stderr.writelines(f"warning: {reason}\n" for reason in reasons)
     out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
     style = make_style(options)
     if not options.json:
@@ -209,11 +210,6 @@ def run(options: argparse.Namespace) -> int:
         for sink in beside:
             sink.close()
     return finish(options, out, played)
-
-
-def warn(reasons: Sequence[str]) -> None:
-    """Write warnings to standard error."""
-    sys.stderr.writelines(f"warning: {reason}\n" for reason in reasons)
 
 
 def _play_fleet(options: argparse.Namespace) -> int:

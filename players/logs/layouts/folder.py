@@ -34,6 +34,8 @@ class FolderView:
 
     registration: Registration
     depth_units_per_m: float
+    #: Depth as read, times this, is in metres.
+    depth_scale: float = 1.0
     lenses: tuple[Lens, Lens] | None = None
     #: Returns metres from the bytes and the name of a depth image; None: 16-bit PNG.
     decode_depth: Callable[[bytes, str], NDArray[np.float32]] | None = None
@@ -61,8 +63,6 @@ class FolderContent:
 
     kind: str
     sensor: DepthSensor
-    #: Depth as read, times this, is in metres.
-    depth_scale: float
     frames: tuple[FolderFrame, ...]
     #: (4, 4); annotations of the log are in its own world.
     world_from_log: NDArray[np.float64]
@@ -90,7 +90,7 @@ class FolderSource:
         if not content.frames:
             found = ", ".join(f"{count} {fate}" for fate, count in content.fates.items() if count) or "no images"
             raise RecordingError(f"{folder}: no frame has colour, depth and a pose; found {found}")
-        self.content = content
+        self.content, self.gaps = content, content.gaps
         self._ledger = Ledger()
         images = content.images
         sampled = [*content.text_files, *images[:2], *images[-2:]]
@@ -130,9 +130,7 @@ class FolderSource:
                 stamp_ns=files.stamp_ns,
                 camera=camera,
                 world_from_camera=files.pose,
-                decode=partial(
-                    _decode, self.content.sensor, self.content.depth_scale, files, index, color_bytes, ledger
-                ),
+                decode=partial(_decode, self.content.sensor, files, index, color_bytes, ledger),
                 color_bytes=color_bytes if color_bytes and files.view.lenses is None else None,
                 is_posed=files.world_from_camera is not None,
             )
@@ -176,11 +174,6 @@ class FolderSource:
             unit="images" if isinstance(content.frames[0].color, FilePart) else "files",
         )
 
-    @property
-    def gaps(self) -> PoseGaps:
-        """The frames without a pose."""
-        return self.content.gaps
-
     def findings(self) -> Mapping[str, bool]:
         """Return faults of the poses, and whether each does harm."""
         return {text: True for text in [self.gaps.finding()] if text}
@@ -188,7 +181,8 @@ class FolderSource:
     @property
     def depth_units_per_m(self) -> float:
         """The unit of the first depth image."""
-        return self.content.frames[0].view.depth_units_per_m / self.content.depth_scale
+        view = self.content.frames[0].view
+        return view.depth_units_per_m / view.depth_scale
 
     def num_bytes(self) -> int:
         """Return the size of everything that is played: images, poses and intrinsics."""
@@ -198,21 +192,19 @@ class FolderSource:
         """Do nothing: no file stays open between frames."""
 
 
-def decoded(files: FolderFrame, sensor: DepthSensor, depth_scale: float) -> Frame:
+def decoded(files: FolderFrame, sensor: DepthSensor) -> Frame:
     """Return a single frame, outside of any pass. Raises `RecordingError`: an image cannot be read."""
-    return _decode(sensor, depth_scale, files, 0, read_image_file(files.color), Ledger())
+    return _decode(sensor, files, 0, read_image_file(files.color), Ledger())
 
 
-def _decode(
-    sensor: DepthSensor, depth_scale: float, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger
-) -> Frame:
+def _decode(sensor: DepthSensor, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger) -> Frame:
     try:
         rgb = decode_color(color_bytes or read_image_file(files.color), str(files.color))
         data, what, decode = read_image_file(files.depth), str(files.depth), files.view.decode_depth
         if decode is None:
-            depth_m = decode_depth_png(data, files.view.depth_units_per_m / depth_scale, what)
+            depth_m = decode_depth_png(data, files.view.depth_units_per_m / files.view.depth_scale, what)
         else:
-            depth_m = decode(data, what) * np.float32(depth_scale)
+            depth_m = decode(data, what) * np.float32(files.view.depth_scale)
         depth_m = sensor.returns(depth_m)
         camera = files.view.registration.depth_camera
         if depth_m.shape != (camera.height, camera.width):

@@ -182,12 +182,12 @@ class FrameCollector:
         for stamp_ns, color, depth, pose, own in self._found:
             view = own or usual
             assert view is not None
+            view = replace(view, depth_scale=corrections.depth_scale)
             frames.append(FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=pose, view=view))
         world_from_log, up = self._upright(frames)
         content = FolderContent(
             kind=kind,
             sensor=self._profile.sensor,
-            depth_scale=corrections.depth_scale,
             frames=tuple(
                 replace(
                     frame, world_from_camera=corrections.turned(compose(world_from_log, pose, self._depth_from_color))
@@ -226,9 +226,8 @@ class FrameCollector:
             yield stamp_ns, color, found[int(off_ns.argmin())][2], pose, view
 
     def _gaps(self) -> PoseGaps:
-        gaps = PoseGaps()
-        found = [(stamp_ns, pose, color) for stamp_ns, color, _, pose, _ in self._found]
-        for _, pose, color in sorted([*found, *((ns, None, image) for ns, image in self._unposed)], key=itemgetter(0)):
+        gaps, unposed = PoseGaps(), [(stamp_ns, color, None, None, None) for stamp_ns, color in self._unposed]
+        for _, color, _, pose, _ in sorted([*self._found, *unposed], key=itemgetter(0)):
             if pose is not None:
                 gaps.posed(pose)
             elif not self._estimates_poses:
@@ -266,9 +265,7 @@ class FrameCollector:
         rough_up = np.array(self._rough_up)
         for frame in posed[:: max(1, len(posed) // _LEVEL_IMAGES)]:
             try:
-                up = up_in(
-                    scan_of_depth(decoded(frame, self._profile.sensor, self._profile.corrections.depth_scale)), rough_up
-                )
+                up = up_in(scan_of_depth(decoded(frame, self._profile.sensor)), rough_up)
             except RecordingError:
                 continue
             if up is not None:
