@@ -32,6 +32,7 @@ EXEMPT = {
     "players/doctor/depth_noise.py": "what `doctor` says of the depth camera",
     "players/doctor/motion_agreement.py": "what `doctor` says of the poses",
     "players/doctor/motion_mends.py": "what `doctor` says of the poses",
+    "players/poses/pose_gaps.py": "what is said of frames without a pose",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(

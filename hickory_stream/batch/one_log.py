@@ -59,11 +59,11 @@ def outcome_of(task: LogTask) -> LogOutcome:
     if task.cores:
         with suppress(OSError):  # they may have been taken from us since
             os.sched_setaffinity(0, task.cores)
-    started_s = time.monotonic()
+    started_s, warnings = time.monotonic(), list[str]()
     try:
         _wait_for_lock(task)
         resumes = _is_begun(task)
-        played, warnings = _mapped(task, resumes=resumes)
+        played = _mapped(task, resumes=resumes, warnings=warnings)
     except HickoryError as error:
         state: State = "disk full" if _is_disk_full(error) else "failed"
         return LogOutcome(name=task.name, state=state, reason=" ".join(str(error).split()), worker=worker)
@@ -86,7 +86,7 @@ def _is_begun(task: LogTask) -> bool:
     return not read_manifest(task.out).finished_cleanly
 
 
-def _mapped(task: LogTask, *, resumes: bool) -> tuple[Played, list[str]]:
+def _mapped(task: LogTask, *, resumes: bool, warnings: list[str]) -> Played:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.sinks.disk_sink import DiskSink
@@ -95,7 +95,7 @@ def _mapped(task: LogTask, *, resumes: bool) -> tuple[Played, list[str]]:
 
     source = open_from_note(dict(task.note), keyframes=task.mapper.keyframes)
     try:
-        warnings = [] if resumes else check_motion(source, task.note, anyway=task.anyway)
+        warnings += [] if resumes else check_motion(source, task.note, anyway=task.anyway)
         if resumes:
             mapper = Mapper.resuming(task.out, machine=task.mapper.run)
         else:
@@ -104,7 +104,7 @@ def _mapped(task: LogTask, *, resumes: bool) -> tuple[Played, list[str]]:
         def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
             return [(DiskSink(folder, task.disk), True)]
 
-        return play(mapper, source, sinks=sinks, progress=lambda _: None, source_note=dict(task.note)), warnings
+        return play(mapper, source, sinks=sinks, progress=lambda _: None, source_note=dict(task.note))
     finally:
         source.close()
 
