@@ -103,7 +103,7 @@ def check_color_encoding(image: LogImage) -> None:
     """
     if image.is_compressed and (codec := codec_of(image.encoding, image.data())):
         raise RecordingError(
-            f"{image.topic} is video ({codec}): pip install 'hickory-stream[video]' reads it from logs; "
+            f"{image.topic} is video ({codec}): pip install 'hickory-stream[video]' reads it; "
             "or name another topic with --color-topic"
         )
     is_depth = image.is_compressed and kind_of(image) == "depth"
