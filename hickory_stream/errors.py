@@ -22,6 +22,9 @@ A message names what was found, what was expected, and what to do.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class HickoryError(Exception):
     """Base of every error raised on purpose; `exit_status` is what the command line returns for it."""
@@ -44,7 +47,9 @@ class RangeError(ConfigError, ValueError):
 
 
 class RecordingError(InputError):
-    """A log that cannot be read or mapped."""
+    """A log that cannot be read or mapped; `fixes` are lines of a profile that would mend it."""
+
+    fixes: Mapping[str, Any] = {}
 
 
 class NoPosesError(RecordingError):

@@ -151,6 +151,7 @@ def examine_log(
             judge_extrinsics(found, source)
     except InputError as error:
         found.refusal = str(error)
+        found.fixes |= error.fixes if isinstance(error, RecordingError) else {}
     _note_damage(found, flaws)
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")

@@ -49,7 +49,6 @@ _KEPT_NS = 5_000_000_000
 """How long poses older than the current frame are kept."""
 
 _LAG_NS, _OTHER_CLOCK_NS = 200_000_000, 60_000_000_000
-_OFFSET = "pose_offset_ms = {:.0f} under [time] of a profile"
 
 _KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
 _FORGET_EVERY = 5000
@@ -351,13 +350,16 @@ class LogSource:
         fates, path, topics = self._ledger.as_dict(), self._log.path, self.setup.topics
         if fates.get("no_pose"):
             images_ns, poses_ns = self._stamps(topics.color), self._pose_span_ns()
-            lag, apart_ns = self._lag_text(), images_ns[0] - poses_ns[0]
+            lag, late_ns, apart_ns = self._lag_text(), self._late_ns(self._pose_topic), images_ns[0] - poses_ns[0]
             is_apart = poses_ns[1] < images_ns[0] or images_ns[1] < poses_ns[0]
             if not lag and is_apart and abs(apart_ns) <= _OTHER_CLOCK_NS:
-                lag = f"If both are of one drive, {_OFFSET.format(apart_ns / 1e6)} lays their beginnings on each other"
-            return RecordingError(
+                late_ns = apart_ns
+                lag = f"If both are of one drive, {_offset('pose', apart_ns)} lays their beginnings on each other"
+            return _with_offset(
                 f"{path}: no image has a pose: images from {_span_text(images_ns)}, poses of {self.setup.plan.source} "
-                f"from {_span_text(poses_ns)}; name another with --pose-topic{'. ' * bool(lag)}{lag}"
+                f"from {_span_text(poses_ns)}; name another with --pose-topic{'. ' * bool(lag)}{lag}",
+                "pose",
+                late_ns if lag else 0,
             )
         if fates.get("frame_of_other_size"):
             lenses = (self.setup.color_lens.camera, self.setup.depth_lens.camera)
@@ -366,25 +368,37 @@ class LogSource:
                 f"{path}: the camera infos are for {sizes} pixels; no pair of images has these sizes; name others with "
                 "--color-info-topic or --depth-info-topic"
             )
-        tolerance = f"{self.setup.tolerance_ns / 1e6:.1f} ms"
-        return RecordingError(
+        tolerance, late_ns = f"{self.setup.tolerance_ns / 1e6:.1f} ms", self._late_ns(topics.depth.name)
+        is_late = self.setup.tolerance_ns < abs(late_ns) < _OTHER_CLOCK_NS
+        return _with_offset(
             f"{path}: no colour image has a depth image within {tolerance}: {topics.color.name} "
             f"from {_span_text(self._stamps(topics.color))}, {topics.depth.name} from "
             f"{_span_text(self._stamps(topics.depth))}; found {fates}; widen it with --sync-tolerance"
+            + is_late
+            * f", or if depth has another clock, {_offset('depth', late_ns)} mends it",
+            "depth",
+            late_ns * is_late,
         )
 
     def _lag_text(self) -> str:
-        name = next(iter(self.setup.plan.keys), ("",))[0]
-        lags_ns = self._clock.lag_ns(self.setup.topics.color.name), self._clock.lag_ns(name)
-        late_ns = 0 if lags_ns[0] is None or lags_ns[1] is None else lags_ns[1] - lags_ns[0]
+        late_ns = self._late_ns(self._pose_topic)
         is_mended = abs(late_ns - self.setup.corrections.pose_offset_ns) <= _LAG_NS
         if is_mended or not _LAG_NS < abs(late_ns) < _OTHER_CLOCK_NS:
             return ""
         late_s, way = late_ns / 1e9, "behind" if late_ns > 0 else "ahead of"
         return (
-            f"{name}: by log time its stamps are {abs(late_s):.1f} s {way} the images': its clock is wrong "
-            f"({_OFFSET.format(late_ns / 1e6)} or --clock log mends it), or its poses take that long to compute"
+            f"{self._pose_topic}: by log time its stamps are {abs(late_s):.1f} s {way} the images': its clock is wrong "
+            f"({_offset('pose', late_ns)} or --clock log mends it), or its poses take that long to compute"
         )
+
+    @property
+    def _pose_topic(self) -> str:
+        return next(iter(self.setup.plan.keys), ("",))[0]
+
+    def _late_ns(self, topic: str) -> int:
+        # How much later than colour's its messages are recorded after their stamps; 0 if that is not known.
+        lags_ns = self._clock.lag_ns(self.setup.topics.color.name), self._clock.lag_ns(topic)
+        return 0 if lags_ns[0] is None or lags_ns[1] is None else lags_ns[1] - lags_ns[0]
 
     def _pose_span_ns(self) -> tuple[int, int]:
         keys, reader = self.setup.plan.keys, self._reader
@@ -447,6 +461,16 @@ def _fate_of(leftover: Leftover) -> str:
     if leftover.is_late:
         return f"late_{leftover.stream}"
     return "color_without_depth" if leftover.stream == "color" else "depth_without_color"
+
+
+def _offset(role: str, late_ns: int) -> str:
+    return f"{role}_offset_ms = {late_ns / 1e6:.0f} under [time] of a profile"
+
+
+def _with_offset(text: str, role: str, late_ns: int) -> RecordingError:
+    error = RecordingError(text)
+    error.fixes = {"time": {f"{role}_offset_ms": round(late_ns / 1e6)}} if late_ns else {}
+    return error
 
 
 def _span_text(span_ns: tuple[int, int]) -> str:

@@ -11,9 +11,11 @@ from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import Robot
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from players import SourceOptions, make_source_note, open_from_note, open_source
+from players.doctor.diagnosis import UNUSABLE
 from players.doctor.motion_mends import check_motion
 from players.live import open_live
-from tests.players.test_motion_faults import ODOM, cut, stamped, unit
+from players.profile import mended_profile
+from tests.players.test_motion_faults import DEPTH, ODOM, cut, stamped, unit
 
 FEW = ("--set", "mapper.mapping.requests.max_failures=0")
 
@@ -75,10 +77,20 @@ def test_poses_of_another_time_are_refused_with_their_offset(tmp_path, change, o
     with pytest.raises(RecordingError, match=r"no image has a pose.*pose_offset_ms = -?\d+ under \[time\]") as refused:
         open_source(log)
     assert float(re.search(r"pose_offset_ms = (-?\d+)", str(refused.value))[1]) == pytest.approx(offset_ms, abs=20)
-    profile.write_text(f"[time]\npose_offset_ms = {offset_ms}\n")
+    assert main(["doctor", str(log), "--fix", str(profile), "--json"]) == UNUSABLE
     source = open_source(log, SourceOptions(profile=str(profile)))
-    assert len(list(source.frames())) == 48
+    assert len(list(source.frames())) >= 47
     assert source.findings() == {}
+
+
+@pytest.mark.parametrize("seconds", [-5.0, 7.0])
+def test_depth_of_another_clock_is_refused_with_its_offset(tmp_path, seconds):
+    log, profile = cut(tmp_path / "log.mcap", stamped(seconds, DEPTH), 4.0), tmp_path / "mended.toml"
+    with pytest.raises(RecordingError, match=r"depth_offset_ms = -?\d+ under \[time\]") as refused:
+        open_source(log)
+    assert refused.value.fixes["time"]["depth_offset_ms"] == pytest.approx(-1e3 * seconds, abs=20)
+    profile.write_text(mended_profile("", refused.value.fixes))
+    assert len(list(open_source(log, SourceOptions(profile=str(profile))).frames())) == 24
 
 
 @pytest.mark.parametrize(
