@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="PART",
-        help="engine: digests, kills, stops, live, soak, processors; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen,"
+        help="doctor: sound, faults, logs; engine: digests, kills, stops, live, soak, processors; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen,"
         " clouds, own, outdoor, speed; first_hour: demo, wheel, tests; poses: drift, fleet, graph, loops, squares,"
         " walks; changes: days, run, person, questions; scale: keyframes, alignment, stages, batch, building;"
         " layer2: views; quality: apartments",
