@@ -176,7 +176,7 @@ def _scale(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[
     factor = float(rng.choice([10.0, 4.0, 0.001, 0.2, 1 / 0.3048]))
 
     def is_found(verdict: Diagnosis) -> bool:
-        return np.isclose(verdict.fixes.get("depth_units_per_m", 0), 1000 * factor, rtol=0.06)
+        return bool(np.isclose(verdict.fixes.get("depth_units_per_m", 0), 1000 * factor, rtol=0.06))
 
     return [replace(f, depth_m=f.depth_m * np.float32(factor)) for f in frames], is_found
 

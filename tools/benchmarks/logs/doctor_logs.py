@@ -58,16 +58,19 @@ def _rows(start_s: float, seconds: float) -> list[Row]:
     from mcap.reader import make_reader
 
     rows, store = list[Row](), _ros().store
+    pixels: NDArray[Any] | None
     with _DEMO.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             topic = _NAMES.get(channel.topic, channel.topic)
-            rows.append(Row(topic, message.log_time, store.deserialize_cdr(message.data, schema.name)))  # type: ignore[union-attr]
+            assert schema is not None
+            rows.append(Row(topic, message.log_time, store.deserialize_cdr(message.data, schema.name)))
     first_ns = rows[0].log_ns + round(1e9 * start_s)
     chosen = [row for row in rows if row.topic == "/tf_static" or 0 <= row.log_ns - first_ns <= 1e9 * seconds]
     for row in chosen:
         if row.topic in (_COLOR, _DEPTH):
             skip, header = 12 * (row.topic == _DEPTH), row.message.header
             pixels = cv2.imdecode(np.asarray(row.message.data[skip:]), cv2.IMREAD_UNCHANGED)
+            assert pixels is not None
             encoding, pixels = ("16UC1", pixels) if skip else ("rgb8", pixels[:, :, ::-1])
             stamp_ns = header.stamp.sec * 10**9 + header.stamp.nanosec
             row.message = _ros().image(stamp_ns, header.frame_id, encoding, np.ascontiguousarray(pixels))
