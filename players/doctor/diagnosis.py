@@ -35,7 +35,7 @@ from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
 from players.doctor.motion_mends import ANYWAY, DepthUnit, depth_unit_of, link_of, mend_of
-from players.doctor.stream_stats import CountedLog, StreamStats, nearest_ms
+from players.doctor.stream_stats import CountedLog, StreamStats, clock_steps, nearest_ms
 from players.logs.containers import Log
 from players.logs.layouts.folder import FolderSource
 from players.logs.layouts.table import opener_of
@@ -157,6 +157,7 @@ def examine_log(
     found.topics = {name: counted.stats[name].as_dict(parts) for name in sorted(counted.stats)}
     _note_stamps(found, is_heard=is_heard)
     if parts is not None:
+        found.notes += clock_steps(counted.stats, parts)
         found.notes.append(
             f"a long log: {parts.number} parts of it were read, {parts.share:.0%} of its time; damage elsewhere is not "
             "seen (`play` reads all), and numbers of frames are scaled up"

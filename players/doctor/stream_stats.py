@@ -14,15 +14,17 @@ import numpy as np
 from players.logs.joined_log import JoinedLog
 from players.logs.log_parts import Parts
 from players.messages.header_stamp import serialized_stamp_ns
+from players.messages.records import TF
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from players.logs.containers import Log, LogMessage, Topic
 
 _GAP_PERIODS = 5.0
+_STEP_S, _ALIKE_S, _DRIFT = 0.3, 0.2, 3e-4
 
 
 @dataclass(slots=True)
@@ -107,6 +109,36 @@ class CountedLog(JoinedLog):
             if message.topic in topics:
                 yield message
         self.stats.update(stats)
+
+
+def clock_steps(stats: Mapping[str, StreamStats], parts: Parts) -> list[str]:
+    """Return the steps of the robot's clock between parts, by which the lags of all topics moved alike."""
+    ends_s = [(first_ns / 1e9, last_ns / 1e9) for first_ns, last_ns in parts.spans()]
+    lags_s = []
+    for one in stats.values():
+        if one.has_headers and one.topic.type_name not in TF:
+            log_ns = np.asarray(one.log_ns)
+            part = np.searchsorted(parts.bounds_ns, log_ns, side="right")
+            lag_s = (log_ns - np.asarray(one.header_ns)) / 1e9
+            each = [lag_s[part == 2 * i + 1] for i in range(parts.number)]
+            lags_s.append([float(np.median(some)) if len(some) else np.nan for some in each])
+    moved_s = np.diff(np.array(lags_s).reshape(-1, parts.number), axis=1)
+    found = []
+    for i, moves_s in enumerate(moved_s.T):
+        known_s = moves_s[np.isfinite(moves_s)]
+        # A clock that drifts moves by little.
+        if (
+            len(known_s) < 2
+            or np.ptp(known_s) > _ALIKE_S
+            or np.abs(known_s).min() < _STEP_S + _DRIFT * parts.pause_ns / 1e9
+        ):
+            continue
+        way, (_, before_s), (after_s, _) = "back" if known_s[0] > 0 else "ahead", ends_s[i], ends_s[i + 1]
+        found.append(
+            f"the robot's clock was set {way} by {abs(float(np.median(known_s))):.2f} s between log times "
+            f"{before_s:.3f} and {after_s:.3f} s"
+        )
+    return found
 
 
 def nearest_ms(color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType, IndexType
 from players import SourceOptions
+from players.doctor import stream_stats
 from players.doctor.diagnosis import SOUND, examine
 from players.logs import log_parts
 from players.opening import open_container
@@ -11,6 +12,7 @@ from tests import player_scenes as scenes
 
 DEMO = Path(__file__).parents[3] / "recordings" / "demo.mcap"
 SECOND = 1_000_000_000
+M = scenes.Messages(ros=2)
 
 
 def messages(ros: int) -> list[scenes.Message]:
@@ -36,12 +38,11 @@ def _is_long(monkeypatch):
 def written(folder: Path, kind: str) -> Path:
     if kind == "ros1":
         return scenes.write_ros1(folder / "log.bag", scenes.Messages(ros=1), messages(1))
-    m = scenes.Messages(ros=2)
     if kind == "sqlite3":
-        return scenes.write_ros2(folder / "bag", m, messages(2))
+        return scenes.write_ros2(folder / "bag", M, messages(2))
     settings = {"loose": {"use_chunking": False}, "unindexed": {"index_types": IndexType.NONE}}.get(kind, {})
     settings |= {"chunk_size": 4000, "compression": CompressionType.NONE}
-    return scenes.write_mcap(folder / "log.mcap", m, messages(2), **settings)
+    return scenes.write_mcap(folder / "log.mcap", M, messages(2), **settings)
 
 
 @pytest.mark.usefixtures("_is_long")
@@ -83,8 +84,23 @@ def test_a_short_log_is_read_whole():
 
 
 @pytest.mark.usefixtures("_is_long")
+@pytest.mark.parametrize(("step_s", "said"), [(0, []), (-2, ["set back by 2.00 s"]), (3, ["set ahead by 3.00 s"])])
+def test_a_step_of_the_clock_between_parts_is_told(tmp_path, step_s, said):
+    late = messages(2)
+    for message in late[600:]:
+        message.message.header.stamp.sec += step_s
+    log = stream_stats.CountedLog(open_container(scenes.write_mcap(tmp_path / "log.mcap", M, late)))
+    log_parts.divide(log)
+    parts = log_parts.parts_of(log)
+    assert len(list(log.messages({"/odom"}))) > 100
+    told = stream_stats.clock_steps(log.stats, parts)
+    assert len(told) == len(said)
+    assert all(text in told[0] for text in said)
+
+
+@pytest.mark.usefixtures("_is_long")
 def test_doctor_judges_a_long_log_by_its_parts(monkeypatch):
-    for name, seconds in (("_MOST_NS", 2.4), ("_LEAST_NS", 1.0), ("_MARGIN_NS", 0.2)):
+    for name, seconds in (("_MOST_NS", 1.6), ("_LEAST_NS", 1.0), ("_MARGIN_NS", 0.2)):
         monkeypatch.setattr(log_parts, name, round(SECOND * seconds))
     found = examine([DEMO], SourceOptions())
     assert (found.status, found.problems) == (SOUND, [])
