@@ -25,6 +25,7 @@ _PART_BYTES, _PART_MESSAGES = 200_000_000, 15_000
 _WHOLE_BYTES, _WHOLE_MESSAGES, _FEW_MESSAGES = 300_000_000, 100_000, 64
 # Logs with a longer pause between them have different clocks, as a replay's, or are another recording.
 _PAUSE_NS = 60_000_000_000
+_SHARE_UNSET = 100
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,6 +87,17 @@ def _leaves(log: Any) -> Iterator[Divisible]:
         yield log
     for part in joined:
         yield from _leaves(part)
+
+
+def span_of(spans: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
+    """Return the first and the last time of chunks, without the few that a clock stamped which was not set."""
+    if not spans:
+        return None
+    firsts_ns, lasts_ns = sorted(first_ns for first_ns, _ in spans), sorted(last_ns for _, last_ns in spans)
+    few = len(spans) // _SHARE_UNSET
+    first_ns, last_ns = firsts_ns[few], lasts_ns[-1 - few]
+    is_apart = lasts_ns[-1] - firsts_ns[0] > 2 * (last_ns - first_ns)
+    return (first_ns, last_ns) if is_apart else (firsts_ns[0], lasts_ns[-1])
 
 
 def parts_of(log: Log) -> Parts | None:

@@ -21,7 +21,7 @@ from players.logs import mcap_records as mcap
 from players.logs.containers import LogMessage, Topic, merged_topics, summed_by
 from players.logs.decompression import UnpackError, release, unpack_message
 from players.logs.log_damage import Flaws
-from players.logs.log_parts import Parts
+from players.logs.log_parts import Parts, span_of
 
 _FOOTER_BYTES = mcap.HEAD.size + 20
 _CHUNK_PATTERN = re.compile(rb"\x06(?=[\s\S]{5}\x00{3}[\s\S]{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))")
@@ -90,10 +90,7 @@ class McapLog:
 
     def span_ns(self) -> tuple[int, int] | None:
         """Return the first and the last log time; None if no index has them."""
-        spans = [chunk.span_ns for chunk in self._survey.chunks if chunk.counts]
-        if not spans:
-            return self._survey.span_ns
-        return min(first_ns for first_ns, _ in spans), max(last_ns for _, last_ns in spans)
+        return span_of([chunk.span_ns for chunk in self._survey.chunks if chunk.counts]) or self._survey.span_ns
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""

@@ -19,7 +19,7 @@ from hickory_stream.errors import RecordingError
 from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
 from players.logs.decompression import UnpackError, release, unpack
 from players.logs.log_damage import Flaws
-from players.logs.log_parts import Parts
+from players.logs.log_parts import Parts, span_of
 from players.profile import Profile
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -96,8 +96,7 @@ class Ros1Log:
 
     def span_ns(self) -> tuple[int, int] | None:
         """Return the first and the last log time; None if no index has them."""
-        infos = [info for info in self._chunk_infos.values() if info[2]]
-        return (min(info[0] for info in infos), max(info[1] for info in infos)) if infos else None
+        return span_of([info[:2] for info in self._chunk_infos.values() if info[2]])
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""

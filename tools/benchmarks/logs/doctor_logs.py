@@ -3,6 +3,7 @@
 # must not call its log sound.
 
 import contextlib
+import copy
 import io
 import json
 import re
@@ -170,6 +171,14 @@ def _in_mm(pose: Any) -> None:
     )
 
 
+def _rest(rows: list[Row]) -> None:
+    first = {row.topic: row.message for row in reversed(rows)}
+    for row in rows:
+        now, row.message = _headers(row), copy.deepcopy(first[row.topic])
+        for header, other in zip(_headers(row), now, strict=True):
+            header.stamp = other.stamp
+
+
 def _cut_short(image: Any) -> None:
     image.data = image.data[: len(image.data) // 3]
 
@@ -211,6 +220,8 @@ CALIBRATIONS: dict[str, tuple[Callable[[Any], None], str]] = {
 EMPTY: dict[str, Change] = {
     "depth of zeros": _pixels(_DEPTH, np.zeros_like),
     "depth of NaN": _pixels(_DEPTH, lambda depth: np.full(depth.shape, np.nan, np.float32), "32FC1"),
+    "depth of infinity": _pixels(_DEPTH, lambda depth: np.full(depth.shape, np.inf, np.float32), "32FC1"),
+    "depth in mm as floats": _pixels(_DEPTH, lambda depth: depth.astype(np.float32), "32FC1"),
     "depth at its limit": _pixels(_DEPTH, lambda depth: np.full_like(depth, 65535)),
     "depth of 5 cm": _pixels(_DEPTH, lambda depth: np.full_like(depth, 50)),
     "depth in metres": _pixels(_DEPTH, lambda depth: (depth // 1000).astype(np.uint16)),
@@ -219,6 +230,7 @@ EMPTY: dict[str, Change] = {
     "depth cut short": _each((_DEPTH,), _cut_short),
     "colour cut short": _each((_COLOR,), _cut_short),
     "colour black": _pixels(_COLOR, np.zeros_like),
+    "a camera that rests": _rest,
     "colour of an hour later": _late(3600.0, _COLOR),
     "depth of a minute later": _late(60.0, _DEPTH),
     "poses of an hour later": _late(3600.0, *_POSES),
