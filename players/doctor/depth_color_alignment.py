@@ -27,7 +27,7 @@ _FULL_PERCENTILE = 95.0
 _OFF_M, _OFF_PX = 0.0125, 1.5
 _GAIN, _SHARE = 1.12, 0.75
 _COARSEST_M = 0.01
-_SURE_FRAMES, _SURE, _SAME_M = 6, 0.95, 0.008
+_SURE_FRAMES, _SURE_PERCENT, _SURE_SHARE = 6, 95.0, 0.64
 # Lags of depth behind colour; at the longest an edge must have moved so far.
 _LAG_STEP_S = 0.02
 LAGS_S = np.round(np.arange(-15, 16) * _LAG_STEP_S, 3)
@@ -49,15 +49,15 @@ class ColorAlignment:
     num_frames: int
     #: The gains of near and of far edges: chance does not follow the parallax.
     gains: tuple[float, float] = (np.inf, np.inf)
-    #: Share of samples of the frames that have the same offset, to 8 mm.
-    certainty: float = 1.0
+    #: Of samples of the frames, 95 % have an offset so near.
+    error_m: float = 0.0
 
     @property
     def is_off(self) -> bool:
         """Whether the calibration error exceeds the uncertainty of its estimate from the images."""
         distance_m = float(np.hypot(*self.offset_m))
         is_peak = max(abs(value) for value in self.offset_m) < _REACH_M - _STEP_M / 2
-        is_sure = self.num_frames >= _SURE_FRAMES and self.certainty >= _SURE
+        is_sure = self.num_frames >= _SURE_FRAMES and self.error_m <= _SURE_SHARE * distance_m
         is_clear = (
             is_peak
             and is_sure
@@ -169,6 +169,7 @@ def color_alignment(frames: Sequence[BorderScores]) -> ColorAlignment | None:
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
     rng, best = np.random.default_rng(0), _peak(total)
     picked = [scores[rng.integers(0, len(scores), len(scores))].sum(axis=0) for _ in range(_RESAMPLES)]
+    distances_m = [np.hypot(*(_peak(one) - best)) for one in picked]
     sums = halves.sum(axis=0)
     gains = [round(float(gain), 3) for gain in sums[:, row, column] / np.maximum(sums[:, middle, middle], 1e-9)]
     offset_m = (round(float(_STEPS_M[column]), 4), round(float(_STEPS_M[row]), 4))
@@ -177,7 +178,7 @@ def color_alignment(frames: Sequence[BorderScores]) -> ColorAlignment | None:
         offset_px=round(float(np.hypot(*offset_m)) * pixels_per_m, 2),
         gain=round(float(total[row, column] / at_rest.sum()), 3),
         gains=(gains[0], gains[1]),
-        certainty=float(np.mean([np.hypot(*(_peak(one) - best)) <= _SAME_M for one in picked])),
+        error_m=round(max(_STEP_M, float(np.percentile(distances_m, _SURE_PERCENT))), 4),
         share=round(float((scores[:, row, column] > at_rest).mean()), 3),
         num_frames=len(frames),
     )

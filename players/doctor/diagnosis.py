@@ -1,12 +1,14 @@
 """Diagnosis of a log before it is mapped: contents, flaws, and the number of usable frames.
 
-One pass covers every message, for stamps and damage; another plays like `play` and decodes a few frames.
+One pass plays like `play`, counts every message, and decodes a few frames. Of a long log, it reads a few parts.
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +35,13 @@ from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
 from players.doctor.motion_mends import ANYWAY, DepthUnit, depth_unit_of, link_of, mend_of
-from players.doctor.stream_stats import StreamStats, nearest_ms
+from players.doctor.stream_stats import CountedLog, StreamStats, clock_steps, nearest_ms
 from players.logs.containers import Log
 from players.logs.layouts.folder import FolderSource
 from players.logs.layouts.table import opener_of
 from players.logs.log_damage import Flaws
 from players.logs.log_opening import open_log, read_opening
+from players.logs.log_parts import Parts, divide, parts_of
 from players.logs.log_source import LogSource
 from players.opening import open_container, open_source
 from players.options import SourceOptions
@@ -53,6 +56,9 @@ _ENDS_S, _OWN_CLOCK_S = 2.0, 1e9
 _SAMPLES = 12
 # A frame with a larger share of missing depth is not examined for a floor.
 _NO_DEPTH = 0.9
+# So many frames are registered by odometry, which takes most of the time where a log lacks poses or links.
+_REGISTERED = 120
+_UNPAIRED, _LOST_AT_ENDS = ("color_without_depth", "depth_without_color"), 4
 _OTHER_M, _OTHER_RAD = 0.4, 0.26
 _KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
 _BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
@@ -133,17 +139,12 @@ def examine_log(
     found.num_bytes = sum(file.stat().st_size for file in log.files)
     found.problems += getattr(log, "unreadable", ())
     found.notes += getattr(log, "notes", ())
-    progress("reading every message")
-    stats = {topic.name: StreamStats(topic) for topic in log.topics}
-    for message in log.messages(list(stats)):
-        stats[message.topic].add(message)
-    found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
-    _note_stamps(found, is_heard=is_heard)
-    flaws = log.flaws
+    divide(log)
+    parts, counted, flaws = parts_of(log), CountedLog(log), log.flaws
     try:
-        source = _as_play_opens(found, log, options, is_heard=is_heard)
+        source = _as_play_opens(found, counted, options, is_heard=is_heard)
         progress("reading as play does")
-        examine_frames(found, source, stats)
+        examine_frames(found, source, counted.stats, parts)
         played = source.played if isinstance(source, OdometrySource) else source
         flaws = played.flaws if isinstance(played, LogSource) else flaws
         if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
@@ -152,6 +153,17 @@ def examine_log(
     except InputError as error:
         found.refusal = str(error)
         found.fixes |= error.fixes if isinstance(error, RecordingError) else {}
+    if not counted.stats:
+        progress("reading every message")
+        deque(counted.messages(()), maxlen=0)
+    found.topics = {name: counted.stats[name].as_dict(parts) for name in sorted(counted.stats)}
+    _note_stamps(found, is_heard=is_heard)
+    if parts is not None:
+        found.notes += clock_steps(counted.stats, parts)
+        found.notes.append(
+            f"a long log: {parts.number} parts of it were read, {parts.share:.0%} of its time; damage elsewhere is not "
+            "seen (`play` reads all), and numbers of frames are scaled up"
+        )
     _note_damage(found, flaws)
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
@@ -198,11 +210,14 @@ def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None
         found.streams["profile_title"] = opening.profile.title
 
 
-def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStats]) -> None:
-    """Play the source without mapping it; decode a few frames."""
+def examine_frames(
+    found: Diagnosis, source: Source, stats: Mapping[str, StreamStats], parts: Parts | None = None
+) -> None:
+    """Play the source without mapping it; decode a few frames. `stats` is complete at the end of the source."""
     found.streams |= dict(source.info.streams)
     config = MapperConfig()
-    expected = source.info.num_frames or 100
+    share = parts.share if parts is not None else 1.0
+    expected = max(1, round(share * (source.info.num_frames or 100)))
     step = max(1, expected // _SAMPLES)
     last: Keyframe | None = None
     num_frames, num_keyframes, num_torn, jumps = 0, 0, 0, 0
@@ -217,7 +232,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     # An odometry's poses come from the images themselves.
     motions = None if isinstance(source, OdometrySource) else MotionSampler(every=max(1, expected // STEPS))
     started_s = time.perf_counter()
-    for raw in source.frames():
+    for raw in islice(source.frames(), None if motions is not None else _REGISTERED):
         num_frames += 1
         if motions is not None:
             motions.add(raw)
@@ -226,7 +241,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
             num_keyframes += 1
             keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-            if last is not None and raw.after_from_before is None:
+            is_next_part = last is not None and parts is not None and raw.stamp_ns - last.stamp_ns > parts.pause_ns // 2
+            if last is not None and raw.after_from_before is None and not is_next_part:
                 due += _keyframes_due(last, keyframe, config.keyframes)
             last = keyframe
         is_sample, is_view = raw.index % step == 0 and len(invalid) < 2 * _SAMPLES, wanted.wants(raw)
@@ -254,6 +270,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 num_torn += 1
                 found.notes.append(str(error))
     source.close()
+    if num_frames == _REGISTERED and motions is None:
+        share = min(share, num_frames / max(num_frames, source.info.num_frames or 0))
+    num_frames, num_keyframes, due = round(num_frames / share), round(num_keyframes / share), due / share
     ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
     agreement = color_alignment(borders)
@@ -284,7 +303,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     _refuse_empty(found, num_torn, invalid)
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
     gaps = played.gaps if isinstance(played, LogSource | FolderSource) else PoseGaps()
-    _note_frames(found, ledger, played.reasons() if isinstance(played, LogSource) else {}, gaps)
+    _note_frames(found, _of_parts(ledger, parts), played.reasons() if isinstance(played, LogSource) else {}, gaps)
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_motion(found, agreed, depth_unit_of(played))
     judge_color(found, agreement, lag)
@@ -311,6 +330,15 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
             "p95_ms": round(float(np.percentile(np.abs(apart_ms), 95)), 3) if len(apart_ms) else None,
             "histogram": {"edges_ms": [round(float(edge), 3) for edge in edges], "counts": counts.tolist()},
         }
+
+
+def _of_parts(ledger: dict[str, int], parts: Parts | None) -> dict[str, int]:
+    # At the ends of parts, images have lost their partners.
+    return {
+        name: number
+        for name, number in ledger.items()
+        if parts is None or number > _LOST_AT_ENDS * parts.number or name not in _UNPAIRED
+    }
 
 
 def _refuse_empty(found: Diagnosis, num_torn: int, invalid: Sequence[float]) -> None:
@@ -380,7 +408,8 @@ def judge_color(found: Diagnosis, agreement: ColorAlignment | None, lag: ColorLa
     x_mm, y_mm = (1e3 * value for value in agreement.offset_m)
     found.problems.append(
         f"colour does not lie on depth: it fits best {x_mm:+.0f} mm to the right and {y_mm:+.0f} mm down of where the "
-        f"calibration has it ({agreement.offset_px:.1f} pixels); correct the link between the two cameras"
+        f"calibration has it ({agreement.offset_px:.1f} pixels), to {1e3 * agreement.error_m:.0f} mm; correct the link "
+        "between the two cameras"
     )
 
 
@@ -407,7 +436,7 @@ def judge_extrinsics(found: Diagnosis, source: LogSource) -> None:
     """Report a camera pose on the body that differs from the profile's; one from TF is not checked."""
     if not are_assumed(source):
         return
-    estimated = estimated_extrinsics(source)
+    estimated = estimated_extrinsics(source, _REGISTERED)
     if isinstance(estimated, NoHandEye):
         found.notes.append(f"the camera's pose on the body is the profile's, and cannot be checked: {estimated.reason}")
         return

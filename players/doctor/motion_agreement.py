@@ -395,4 +395,6 @@ def _lag_of(seen: _Seen, track: _Track, axes: Matrix) -> tuple[float | None, flo
         if np.std(found) > _MOST_SPREAD_NS:
             return None, None
         lags = found[0] + _FINE_NS
-    return float(found[0]) / 1e9, round(3.0 * float(np.hypot(np.std(found), _STEP_OF_LAG_NS)) / 1e9, 4)
+    # Samples of few steps are too much alike.
+    spread_ns = float(np.std(found)) * (1 + 3 / len(seen.units))
+    return float(found[0]) / 1e9, round(3.0 * float(np.hypot(spread_ns, _STEP_OF_LAG_NS)) / 1e9, 4)

@@ -117,6 +117,10 @@ class ClockSteps:
         is_steady = len(lags_ns) >= _LEAST_KNOWN and max(lags_ns) - min(lags_ns) < _STEADY_NS
         return int(median(lags_ns)) if is_steady else None
 
+    def forget(self) -> None:
+        """Forget the lags so far, as after a long pause."""
+        self._streams.clear()
+
     def numbered(self, messages: Iterable[Timed]) -> Iterator[tuple[Timed, int]]:
         """Yield each message with the number of steps back before it; -1 for one whose time is not certain."""
         for timed in messages:

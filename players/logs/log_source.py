@@ -10,6 +10,7 @@ import logging
 from collections import deque
 from dataclasses import replace
 from functools import partial
+from itertools import chain, groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,7 @@ from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
 from players.logs.clock_steps import ClockSteps, Timed
 from players.logs.containers import Log, LogMessage, Topic, UnreadableMessageError, deserialize, files_identity
+from players.logs.log_parts import parts_of
 from players.logs.message_account import Account, Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
 from players.logs.timeline import Order, Timeline
@@ -244,7 +246,7 @@ class LogSource:
         setup = self.setup
         topics = {topic.name: topic for topic in (*setup.small_topics, setup.topics.color, setup.topics.depth)}
         unstamped = {name for name, topic in topics.items() if topic.type_name == CAMERA_INFO or "tf_static" in name}
-        uses_log = setup.uses_log_time
+        uses_log, parts, part = setup.uses_log_time, parts_of(self._log), 0
 
         def messages() -> Iterator[Timed]:
             for message in self._log.messages(set(topics)):
@@ -254,9 +256,20 @@ class LogSource:
                 stamp_ns = serialized_stamp_ns(topics[name], message.data) if stamped else None
                 yield Timed(name, stamp_ns, message.log_ns, message)
 
+        def part_of(timed: Timed) -> int:
+            # Lags of one part say nothing of the clock in the next one, minutes later.
+            nonlocal part
+            now = parts.at(timed.log_ns) if parts is not None else None
+            if now is not None and now != part:
+                part = now
+                self._clock.forget()
+            return part
+
         if uses_log:
             return ((timed, 0) for timed in messages())
-        return self._clock.numbered(messages())
+        if parts is None:
+            return self._clock.numbered(messages())
+        return chain.from_iterable(self._clock.numbered(group) for _, group in groupby(messages(), key=part_of))
 
     def _relink(self, tree: FrameTree) -> bool:
         # Static links hold from where they are published; until all have come, those of the opening do.

@@ -21,6 +21,7 @@ from players.logs import mcap_records as mcap
 from players.logs.containers import LogMessage, Topic, merged_topics, summed_by
 from players.logs.decompression import UnpackError, release, unpack_message
 from players.logs.log_damage import Flaws
+from players.logs.log_parts import Parts, span_of
 
 _FOOTER_BYTES = mcap.HEAD.size + 20
 _CHUNK_PATTERN = re.compile(rb"\x06(?=[\s\S]{5}\x00{3}[\s\S]{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))")
@@ -32,6 +33,8 @@ class _Chunk:
     # `counts` by channel id, None without an index
     offset: int
     num_bytes: int
+    #: The first and the last log time.
+    span_ns: tuple[int, int]
     counts: dict[int, int] | None = None
 
 
@@ -41,6 +44,7 @@ class _Survey(mcap.Described):
     loose_counts: Counter[int] = field(default_factory=Counter)
     declared: dict[int, int] | None = None
     is_indexed: bool = False
+    span_ns: tuple[int, int] | None = None
 
 
 class _WrongIndexError(Exception):
@@ -51,6 +55,8 @@ class McapLog:
     """A `Log` in one MCAP file."""
 
     kind = "MCAP"
+    #: What is read of a long log; None: all.
+    parts: Parts | None = None
 
     def __init__(self, path: Path) -> None:
         """Read the summary; without a valid one, all records are read to find the channels.
@@ -82,6 +88,10 @@ class McapLog:
         """Return the declared number of messages of each topic, None if the file declares none."""
         return summed_by(self._name, self._survey.declared)
 
+    def span_ns(self) -> tuple[int, int] | None:
+        """Return the first and the last log time; None if no index has them."""
+        return span_of([chunk.span_ns for chunk in self._survey.chunks if chunk.counts]) or self._survey.span_ns
+
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
         wanted = set(topics)
@@ -107,7 +117,7 @@ class McapLog:
     def _chunked(self, data: mmap.mmap, wanted: set[str], read: set[int]) -> Iterator[LogMessage]:
         survey = self._survey
         for chunk in survey.chunks:
-            if chunk.offset in read:
+            if chunk.offset in read or not self._has_part(chunk):
                 continue
             if survey.is_indexed and not _is_chunk_at(data, chunk):
                 raise _WrongIndexError
@@ -122,11 +132,16 @@ class McapLog:
             yield from self._records(records, chunk, wanted)
             release(data, chunk.offset, chunk.offset + chunk.num_bytes)
 
+    def _has_part(self, chunk: _Chunk) -> bool:
+        if self.parts is None or self.parts.meets(*chunk.span_ns):
+            return True
+        return any(self._name(channel) in self.parts.whole for channel in chunk.counts or ())
+
     def _records(self, records: Any, chunk: _Chunk, wanted: set[str]) -> Iterator[LogMessage]:
         view, at, end = memoryview(records), 0, len(records)
         names = {channel: name for channel, (_, name, _) in self._survey.channels.items() if name in wanted}
         packable = {channel for channel in names if self._is_cdr(channel)}
-        unknown, lost = 0, Counter[str]()
+        unknown, lost, parts = 0, Counter[str](), self.parts
         while at + mcap.HEAD.size <= end:
             opcode, length = mcap.HEAD.unpack_from(view, at)
             at += mcap.HEAD.size
@@ -135,7 +150,7 @@ class McapLog:
             if opcode == mcap.MESSAGE_OP and length >= mcap.MESSAGE.size:
                 channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(view, at)
                 name = names.get(channel)
-                if name is not None:
+                if name is not None and (parts is None or parts.wants(name, log_ns)):
                     content = view[at + mcap.MESSAGE.size : at + length]
                     if channel in packable:
                         try:
@@ -147,7 +162,7 @@ class McapLog:
                             at += length
                             continue
                     yield LogMessage(name, log_ns, content)
-                elif channel not in self._survey.channels:
+                elif name is None and channel not in self._survey.channels:
                     unknown += 1
             at += length
         if unknown:
@@ -163,6 +178,8 @@ class McapLog:
                 if opcode == mcap.MESSAGE_OP:
                     channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(data, at)
                     name = self._name(channel)
+                    if self.parts is not None and not self.parts.wants(name, log_ns):
+                        continue
                     if name in wanted:
                         content = bytes(view[at + mcap.MESSAGE.size : at + length])
                         try:
@@ -176,8 +193,9 @@ class McapLog:
                         self.flaws.note(at, what, 0, num_unknown=1)
                 elif opcode == mcap.DATA_END:
                     (expected,) = struct.unpack_from("<I", data, at)
-                    crc = zlib.crc32(view[crc_at : at - mcap.HEAD.size], crc) if expected else 0
-                    if crc != expected:
+                    if expected and self.parts is None:
+                        crc = zlib.crc32(view[crc_at : at - mcap.HEAD.size], crc)
+                    if crc != expected and self.parts is None:
                         what = "the checksum over all messages differs: at least one of them was altered"
                         self.flaws.note(at, what, 0)
         finally:
@@ -187,13 +205,18 @@ class McapLog:
         survey = _Survey()
         for opcode, at, length in self._walk(data):
             if opcode == mcap.CHUNK_OP:
-                survey.chunks.append(_Chunk(at - mcap.HEAD.size, length + mcap.HEAD.size))
+                survey.chunks.append(
+                    _Chunk(at - mcap.HEAD.size, length + mcap.HEAD.size, struct.unpack_from("<QQ", data, at))
+                )
             elif opcode == mcap.INDEX and survey.chunks:
                 channel, size = struct.unpack_from("<HI", data, at)
                 last = survey.chunks[-1]
                 last.counts = {**(last.counts or {}), channel: size // 16}
             elif opcode == mcap.MESSAGE_OP:
-                survey.loose_counts[mcap.MESSAGE.unpack_from(data, at)[0]] += 1
+                channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(data, at)
+                survey.loose_counts[channel] += 1
+                first_ns, last_ns = survey.span_ns or (log_ns, log_ns)
+                survey.span_ns = min(first_ns, log_ns), max(last_ns, log_ns)
             elif opcode == mcap.STATISTICS:
                 survey.declared = _statistics(data, at, length)
             elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
@@ -205,7 +228,6 @@ class McapLog:
 
     def _walk(self, data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
         at, end = (len(mcap.MAGIC) if data[: len(mcap.MAGIC)] == mcap.MAGIC else 0), len(data)
-        is_chunked = _CHUNK_PATTERN.search(data) is not None
         while at < end:
             if at + mcap.HEAD.size <= end:
                 opcode, length = mcap.HEAD.unpack_from(data, at)
@@ -217,7 +239,7 @@ class McapLog:
                     continue
             if data[at:end] == mcap.MAGIC[: end - at]:
                 return
-            following = _next_record(data, at + 1, is_chunked=is_chunked)
+            following = _next_record(data, at + 1)
             what = "bytes that are no record" if following < end else "the file is cut off"
             self.flaws.note(at, what, following - at)
             at = following
@@ -278,7 +300,10 @@ def _read_summary(data: mmap.mmap) -> _Survey | None:
             elif opcode == mcap.CHUNK_INDEX:
                 survey.chunks.append(_chunk_of_index(data[at : at + length]))
             elif opcode == mcap.STATISTICS:
-                survey.declared = _statistics(data, at, length)
+                survey.declared, survey.span_ns = (
+                    _statistics(data, at, length),
+                    struct.unpack_from("<QQ", data, at + 26),
+                )
             at += length
     except (struct.error, UnicodeDecodeError):
         return None
@@ -291,10 +316,10 @@ def _read_summary(data: mmap.mmap) -> _Survey | None:
 
 
 def _chunk_of_index(record: bytes) -> _Chunk:
-    _, _, offset, length, size = struct.unpack_from("<QQQQI", record, 0)
+    first_ns, last_ns, offset, length, size = struct.unpack_from("<QQQQI", record, 0)
     # The chunk index lists the channels of a chunk without counts: -1 stands for "some".
     counts = {struct.unpack_from("<HQ", record, 36 + at)[0]: 0 for at in range(0, min(size, len(record) - 36), 10)}
-    return _Chunk(offset, length, counts or None)
+    return _Chunk(offset, length, (first_ns, last_ns), counts or None)
 
 
 def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
@@ -317,9 +342,9 @@ def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
     return True
 
 
-def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
+def _next_record(data: mmap.mmap, start: int) -> int:
     # In a file with chunks only a chunk is valid: a damaged chunk may hold what looks like a message.
-    end = len(data)
+    end, is_chunked = len(data), _CHUNK_PATTERN.search(data) is not None
     pattern = _CHUNK_PATTERN if is_chunked else _RECORD_PATTERN
     for match in pattern.finditer(data, start):
         at = match.start()

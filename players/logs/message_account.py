@@ -14,6 +14,7 @@ from threading import Lock
 from typing import Any
 
 from players.logs.containers import Log
+from players.logs.log_parts import parts_of
 from players.logs.log_setup import LogSetup
 
 _MAX_FLAWS = 5
@@ -119,6 +120,7 @@ class Account:
 def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
     """Return the ledger of one pass over a log."""
     declared, lost = log.declared(), log.flaws.lost()
+    is_complete = ledger.is_complete and parts_of(log) is None
     needed = {setup.topics.color.name, setup.topics.depth.name, *(topic.name for topic in setup.small_topics)}
     entries = []
     # A copy, since another thread may still be reading the log.
@@ -132,7 +134,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
             continue
         rejected = {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
         read, bad = ledger.read[topic.name], ledger.unreadable[topic.name]
-        not_played = 0 if ledger.is_complete or claimed is None else max(0, claimed - read - unreadable)
+        not_played = 0 if is_complete or claimed is None else max(0, claimed - read - unreadable)
         entries.append(
             TopicAccount(
                 topic=topic.name,
@@ -147,7 +149,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
         entries.append(TopicAccount(topic="(topic not known)", declared=0, unreadable=lost[""]))
     return Account(
         topics=tuple(entries),
-        is_complete=ledger.is_complete,
+        is_complete=is_complete,
         num_flaws=len(log.flaws),
         flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _MAX_FLAWS)),
         explanation=_explanation(log, entries),

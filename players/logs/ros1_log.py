@@ -10,7 +10,7 @@ import mmap
 import re
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from hickory_stream.errors import RecordingError
 from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
 from players.logs.decompression import UnpackError, release, unpack
 from players.logs.log_damage import Flaws
+from players.logs.log_parts import Parts, span_of
 from players.profile import Profile
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -61,6 +62,8 @@ class Ros1Log:
     profile: Profile | None = None
     #: None of the bag; bz2 and (optionally) lz4 have their own.
     checksum = ""
+    #: What is read of a long log; None: all.
+    parts: Parts | None = None
 
     def __init__(self, path: Path) -> None:
         """Read the index, or all records if no index fits. Raises `RecordingError`: not one connection can be read."""
@@ -70,6 +73,8 @@ class Ros1Log:
         self._connections: dict[int, Topic] = {}
         self._declared: Counter[int] | None = None
         self._chunk_places: list[int] = []
+        #: First and last log time of chunks, and the connections in them.
+        self._chunk_infos: dict[int, tuple[int, int, frozenset[int]]] = {}
         self._is_indexed = True
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             if not self._read_index(data):
@@ -89,6 +94,10 @@ class Ros1Log:
         """Return the declared number of messages of each topic, None without an index."""
         return summed_by(self._name, self._declared)
 
+    def span_ns(self) -> tuple[int, int] | None:
+        """Return the first and the last log time; None if no index has them."""
+        return span_of([info[:2] for info in self._chunk_infos.values() if info[2]])
+
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
         read: set[int] = set()
@@ -104,7 +113,7 @@ class Ros1Log:
     def _chunks(self, data: mmap.mmap, topics: set[str], read: set[int]) -> Iterator[LogMessage]:
         names = {number: topic.name for number, topic in self._connections.items() if topic.name in topics}
         for place in self._chunk_places:
-            if place in read:
+            if place in read or not self._has_part(place):
                 continue
             try:
                 chunk = _chunk_at(data, place)
@@ -123,6 +132,12 @@ class Ros1Log:
                 continue
             yield from self._content(content, chunk, names)
             release(data, chunk.offset, chunk.data_end)
+
+    def _has_part(self, place: int) -> bool:
+        if self.parts is None or place not in self._chunk_infos:
+            return True
+        first_ns, last_ns, connections = self._chunk_infos[place]
+        return self.parts.meets(first_ns, last_ns) or any(self._name(one) in self.parts.whole for one in connections)
 
     def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
         """Return where each chunk and the index behind it begin and end, and how many messages it has."""
@@ -145,7 +160,9 @@ class Ros1Log:
                 at = next((start for start in starts if start > at), end)
                 continue
             if connection in names:
-                yield LogMessage(names[connection], _stamp_ns(header), view[data_at:data_end])
+                name, log_ns = names[connection], _stamp_ns(header)
+                if self.parts is None or self.parts.wants(name, log_ns):
+                    yield LogMessage(name, log_ns, view[data_at:data_end])
             at = data_end
         if first_bad is not None:
             what = f"records in a chunk that its index does not confirm, the first at byte {first_bad} of it"
@@ -186,9 +203,13 @@ class Ros1Log:
                 if _op(header) == _CONNECTION:
                     self._learn(header, data[data_at:at])
                 elif _op(header) == _CHUNK_INFO:
-                    self._chunk_places.append(int.from_bytes(header[b"chunk_pos"], "little"))
-                    for connection, number in struct.iter_unpack("<II", data[data_at:at]):
-                        declared[connection] += number
+                    counts = dict(struct.iter_unpack("<II", data[data_at:at]))
+                    declared.update(counts)
+                    self._add_chunk(
+                        int.from_bytes(header[b"chunk_pos"], "little"),
+                        [_time_ns(header[name]) for name in (b"start_time", b"end_time")],
+                        counts,
+                    )
                 else:
                     return False
         except (_NoRecordError, KeyError, struct.error):
@@ -234,7 +255,7 @@ class Ros1Log:
 
     def _learn_chunk(self, data: mmap.mmap, at: int) -> None:
         chunk = _chunk_at(data, at)
-        self._chunk_places.append(at)
+        self._add_chunk(at, [log_ns for _, log_ns in chunk.index.values()], chunk.counts)
         if chunk.index and all(connection in self._connections for connection, _ in chunk.index.values()):
             return
         try:
@@ -250,6 +271,11 @@ class Ros1Log:
                     self._learn(header, content[data_at:inner])
             except _NoRecordError:
                 return
+
+    def _add_chunk(self, place: int, times_ns: Sequence[int], connections: Collection[int]) -> None:
+        self._chunk_places.append(place)
+        if times_ns:
+            self._chunk_infos[place] = min(times_ns), max(times_ns), frozenset(connections)
 
     def _learn(self, header: dict[bytes, bytes], content: Any) -> None:
         number = _number(header, b"conn")
@@ -337,7 +363,11 @@ def _number(header: dict[bytes, bytes], name: bytes) -> int:
 
 
 def _stamp_ns(header: dict[bytes, bytes]) -> int:
-    seconds, nanoseconds = struct.unpack("<II", header[b"time"])
+    return _time_ns(header[b"time"])
+
+
+def _time_ns(time: bytes) -> int:
+    seconds, nanoseconds = struct.unpack("<II", time)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 

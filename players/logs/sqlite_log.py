@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,6 +16,7 @@ from hickory_stream.errors import RecordingError
 from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by, topic_name
 from players.logs.decompression import UnpackError, unpack_message
 from players.logs.log_damage import Flaws
+from players.logs.log_parts import Parts
 from players.logs.sqlite_pages import PageFile
 
 MAGIC = b"SQLite format 3\0"
@@ -27,6 +28,8 @@ class SqliteLog:
 
     kind = "ROS 2 bag (sqlite3)"
     checksum = ""
+    #: What is read of a long log; None: all.
+    parts: Parts | None = None
 
     def __init__(self, path: Path, definitions: dict[str, str] | None = None) -> None:
         """Read the topics; `definitions` are message definitions by type, for types missing from the bag's own table.
@@ -64,14 +67,29 @@ class SqliteLog:
         """Return the number of messages of each topic in the database, None if it is damaged."""
         return summed_by(lambda number: self.topic_rows.get(number, ("",))[0], self._counts)
 
+    def span_ns(self) -> tuple[int, int] | None:
+        """Return the first and the last log time; None for a damaged or empty database."""
+        if not self._is_sound:
+            return None
+        with suppress(sqlite3.DatabaseError), _connected(self.path) as connection:
+            # Two queries, each of which the index answers.
+            first, last = (
+                connection.execute(f"SELECT {end}(timestamp) FROM messages").fetchone()[0] for end in ("min", "max")
+            )
+            if isinstance(first, int) and isinstance(last, int):
+                return first, last
+        return None
+
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the rows; unreadable ones are noted in `flaws`."""
         names = {number: row[0] for number, row in self.topic_rows.items() if row[0] in topics}
-        last = -(1 << 63)
+        last, parts = -(1 << 63), self.parts
         if self._is_sound:
             try:
                 for rowid, topic_id, log_ns, data in self._select(names):
                     last = rowid
+                    if parts is not None and not parts.wants(names[topic_id], log_ns):
+                        continue
                     message = self._message(names[topic_id], log_ns, data, rowid)
                     if message is not None:
                         yield message
@@ -105,12 +123,14 @@ class SqliteLog:
             return None
 
     def _select(self, names: dict[int, str]) -> Iterator[tuple[int, int, int, Any]]:
-        marks = ",".join("?" * len(names))
+        query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join(map(str, names))})"
+        parts = self.parts
+        if parts is not None:
+            whole = ",".join(str(number) for number, name in names.items() if name in parts.whole)
+            spans = "".join(f" OR timestamp BETWEEN {first_ns} AND {last_ns}" for first_ns, last_ns in parts.spans())
+            query += f" AND (topic_id IN ({whole}){spans})"
         with _connected(self.path) as connection:
-            yield from connection.execute(
-                f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id",
-                tuple(names),
-            )
+            yield from connection.execute(f"{query} ORDER BY id")
 
     def _read_topics(self) -> tuple[dict[int, tuple[str, str, str]], dict[int, int]]:
         with _connected(self.path) as connection:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from players.logs.containers import Log, LogMessage, UnreadableMessageError, deserialize, first_messages, own_types
 from players.logs.joined_log import JoinedLog
 from players.logs.log_damage import Flaws
+from players.logs.log_parts import parts_of
 from players.messages.images import codec_of
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, VIDEOS
 
@@ -62,11 +63,17 @@ class VideoLog(JoinedLog):
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the log."""
         decoders = {name: _Decoder(self._av, self._codecs[name]) for name in topics if name in self._codecs}
+        parts, part = parts_of(self), None
         for message in self.logs[0].messages(topics):
             decoder = decoders.get(message.topic)
             if decoder is None:
                 yield message
                 continue
+            if parts is not None and parts.at(message.log_ns) != part:
+                # A part begins in the middle of a video.
+                part = parts.at(message.log_ns)
+                decoders = {name: _Decoder(self._av, self._codecs[name]) for name in decoders}
+                decoder = decoders[message.topic]
             decoder.num_packets += 1
             with suppress(UnreadableMessageError):
                 packet = packet_of(deserialize(self._sources[message.topic], message.data))
@@ -75,7 +82,7 @@ class VideoLog(JoinedLog):
         for i, (name, decoder) in enumerate(sorted(decoders.items())):
             for log_ns, data in decoder.pictures(0, None):
                 yield LogMessage(name, log_ns, data)
-            if lost := decoder.num_packets - decoder.num_pictures:
+            if parts is None and (lost := decoder.num_packets - decoder.num_pictures):
                 packets = f"{decoder.num_packets} packets of {name} ({decoder.codec})"
                 what = f"{lost} of {packets} give no picture, as before a key frame"
                 self._lost.note(i, what, 0, {name: lost})

@@ -38,7 +38,7 @@ def are_assumed(source: LogSource) -> bool:
     return plan.stream is not None and plan.is_static and plan.extrinsics.startswith("profile") and not is_turned
 
 
-def estimated_extrinsics(source: LogSource) -> HandEye | NoHandEye:
+def estimated_extrinsics(source: LogSource, most_frames: int = _MAX_FRAMES) -> HandEye | NoHandEye:
     """Return the camera's pose on the body, from the beginning of a log; undetermined directions stay the log's."""
     plan = source.setup.plan
     if plan.stream is None or not plan.is_static:
@@ -54,7 +54,7 @@ def estimated_extrinsics(source: LogSource) -> HandEye | NoHandEye:
             continue
         last_ns = raw.stamp_ns
         num_seen += 1
-        if num_seen > _MAX_FRAMES:
+        if num_seen > most_frames:
             break
         try:
             found = odometry.register(scan_of_depth(raw.decode()))

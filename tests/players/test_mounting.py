@@ -53,7 +53,7 @@ def test_the_camera_is_found_to_three_centimetres_or_left_open(estimate):
 
 
 def test_doctor_warns_that_the_profile_is_off(recorded, estimate, monkeypatch):
-    monkeypatch.setattr("players.doctor.diagnosis.estimated_extrinsics", lambda _: estimate)
+    monkeypatch.setattr("players.doctor.diagnosis.estimated_extrinsics", lambda *_: estimate)
     found = examine([recorded / "b2"], SourceOptions())
     told = [problem for problem in found.problems if "by its motion the camera sits" in problem]
     assert len(told) == 1

@@ -20,7 +20,8 @@ from tools.worlds.recording_config import RecordingConfig
 PROGRAM = "make_world_log.py"
 _RATE_HZ = 5.0
 _HEIGHT_M = {"hand": 1.4, "robot": 0.45}
-_FOLDERS = {"home": "home", "bookstore": "bookstore", "office": "service-office", "warehouse": "warehouse"}
+_FOLDERS = {"office": "service-office"}
+_OPTIONS = {"campus": ["--camera", "d455", "--speed", "0.8"]}
 # The program imports Open3D, which needs a library that the project provides.
 _RUN = (
     "import runpy, sys; from hickory_stream.pictures.open3d_import import import_open3d; import_open3d(); "
@@ -51,9 +52,9 @@ def foreign_log(
 ) -> WorldLog:
     """Return the log of a walk with exact poses, rendered if it is not cached; `camera` is `hand` or `robot`."""
     # Raises RecordingError: there is no such world, or it cannot be rendered.
-    source = worlds / _FOLDERS[world]
+    source = worlds / _FOLDERS.get(world, world)
     arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{rate_hz:g}"]
-    arguments += ["--camera-height", f"{_HEIGHT_M[camera]:g}"]
+    arguments += ["--camera-height", f"{_HEIGHT_M[camera]:g}", *_OPTIONS.get(world, [])]
     try:
         made_from = (worlds / PROGRAM).read_bytes() + (source / "world.json").read_bytes()
     except OSError as error:

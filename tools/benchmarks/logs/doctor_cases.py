@@ -1,6 +1,6 @@
-"""The verdicts of `doctor`: silence on cuts of sound logs, and faults that were put into them."""
-# A cut is a piece of a log; a fault changes its depth, colour or poses. A verdict is right if it names the fault with a
-# value whose interval holds the truth.
+"""The verdicts of `doctor`: silence on cuts of sound logs, faults that were put into them, empty maps, and its time."""
+# A cut is a piece of a log; a fault changes its depth, colour, poses or calibration. A verdict is right if it names the
+# fault with a value whose interval holds the truth. Cuts depend on the seed: what is tuned is tuned on another one.
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from hickory_stream.poses.hand_eye import FLU_FROM_OPTICAL
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from hickory_stream.worlds.recording import make_recording
 from players import open_source
 from players.doctor.diagnosis import Diagnosis, examine_frames
-from tools.benchmarks.common.figures import Figure, Options, figure
+from players.messages.depth_registration import Registration, register_depth
+from tools.benchmarks.common.figures import Figure, Options, figure, share
+from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.benchmarks.logs import doctor_logs
 from tools.worlds.recording_config import RecordingConfig
 
 Frames = Sequence[Frame]
@@ -25,15 +29,19 @@ Fault = Callable[[Frames, np.random.Generator], tuple[Frames, Callable[[Diagnosi
 
 _DEMO = Path("recordings/demo.mcap")
 _ROOMS = (("room", 11), ("apartment", 5), ("outdoor", 3))
-_SECONDS, _LENGTHS_S, _FAULTY_S = 10.0, (2.0, 3.0, 5.0, 8.0), 6.0
-_CASES, _QUICK_CASES = 100, 20
+_SECONDS = 24.0
+# What lies in the geometry is seen from several places only.
+_FAULTY_S = {"bias": 12.0, "link": 12.0}
+_LENGTHS_S = (2.0, 3.0, 5.0, 8.0, 15.0, np.inf)
+_CASES, _QUICK_CASES = 100, 8
+_PARTS = ("sound", "faults", "logs")
 
 
 @dataclass(frozen=True)
 class Cut:
-    """A source of decoded frames."""
+    """A source of frames of a longer one."""
 
-    content: Frames
+    content: Sequence[RawFrame]
 
     @property
     def info(self) -> SourceInfo:
@@ -44,9 +52,7 @@ class Cut:
         )  # fmt: skip
 
     def frames(self) -> Iterator[RawFrame]:
-        for i, frame in enumerate(self.content):
-            pose = {"world_from_camera": frame.world_from_camera, "camera": frame.camera}
-            yield RawFrame(index=i, stamp_ns=frame.stamp_ns, decode=lambda frame=frame: frame, **pose)  # type: ignore[misc]
+        return (replace(raw, index=i) for i, raw in enumerate(self.content))
 
     def ledger(self) -> dict[str, int]:
         return {"frames": len(self.content)}
@@ -55,57 +61,111 @@ class Cut:
         pass
 
 
-def examined(frames: Frames) -> Diagnosis:
+def examined(content: Sequence[RawFrame]) -> Diagnosis:
     """Return the diagnosis of a cut."""
     found = Diagnosis(uri="cut")
-    examine_frames(found, Cut(frames), {})
+    examine_frames(found, Cut(content), {})
     return found
 
 
-def measure(options: Options) -> list[Figure]:
-    """Return the figures; `--scenes` names the truth folders of further sound logs, `log.mcap` beside each."""
-    number = _QUICK_CASES if options.quick else _CASES
-    rng = np.random.default_rng(options.seed)
-    with tempfile.TemporaryDirectory() as temporary:
-        logs = [_DEMO, *(path.parent / "log.mcap" if path.is_dir() else path for path in options.scenes)]
-        for scene, seed in _ROOMS:
-            config = RecordingConfig(scene=scene, seed=seed, seconds=_SECONDS, rate_hz=6.0, width=480, height=270)
-            make_recording(config, Path(temporary), scene, caster=None)
-            logs.append(Path(temporary) / f"{scene}.mcap")
-        films = [[raw.decode() for raw in open_source(log).frames()] for log in logs]
-    alarms = sum(
-        _is_alarm(films[i % len(films)], _LENGTHS_S[i // len(films) % len(_LENGTHS_S)], rng) for i in range(number)
-    )
-    names = sorted(FAULTS)
-    found = sum(_is_found(names[i % len(names)], films[i // len(names) % len(films)], rng) for i in range(number))
+def _of_memory(frames: Frames) -> list[RawFrame]:
     return [
-        figure("doctor_false_alarms", alarms, "", "lower", of=f"{number} sound cuts of 2 to 8 s"),
-        figure("doctor_found_fraction", found / number, of=f"{number} cuts of {_FAULTY_S:.0f} s with a fault"),
-    ]
+        RawFrame(
+            index=i, stamp_ns=f.stamp_ns, camera=f.camera, world_from_camera=f.world_from_camera, decode=lambda f=f: f  # type: ignore[misc]
+        )
+        for i, f in enumerate(frames)
+    ]  # fmt: skip
 
 
-def _is_alarm(film: Frames, length_s: float, rng: np.random.Generator) -> bool:
-    found = examined(_cut(film, length_s, rng))
+def measure(options: Options) -> list[Figure]:
+    """Return the figures of the parts `sound`, `faults` and `logs`; `--scenes` names further sound logs."""
+    parts = set(options.only or _PARTS)
+    if parts - set(_PARTS):
+        raise RecordingError(f"found --only {' '.join(options.only)}; expected {', '.join(_PARTS)}")
+    number = _QUICK_CASES if options.quick else _CASES
+    names, alarms, found = [*sorted(FAULTS), "calibration"], 0, 0
+    with tempfile.TemporaryDirectory() as temporary:
+        logs = _logs(options, Path(temporary)) if parts & {"sound", "faults"} else []
+        for at, log in enumerate(logs):
+            film = list(open_source(log).frames())
+            for i in range(at, number, len(logs)):
+                turn = i // len(logs)
+                if "sound" in parts:
+                    rng = np.random.default_rng([options.seed, 0, i])
+                    alarms += _is_alarm(log, film, _LENGTHS_S[turn % len(_LENGTHS_S)], rng)
+                if "faults" in parts:
+                    # Each log has most of the faults.
+                    name, rng = names[(at + turn) % len(names)], np.random.default_rng([options.seed, 1, i])
+                    is_found = name in FAULTS and _is_found(log, name, film, rng)
+                    found += is_found or (name not in FAULTS and doctor_logs.is_calibration_found(Path(temporary), rng))
+        of = f"{number} sound cuts, from 2 s to a whole log"
+        figures = [figure("doctor_false_alarms", alarms, "", "lower", of=of)] if "sound" in parts else []
+        figures += share("doctor_found_fraction", found, number, "cuts with a fault") if "faults" in parts else []
+        return figures + (doctor_logs.measure(options, Path(temporary)) if "logs" in parts else [])
+
+
+def _logs(options: Options, folder: Path) -> list[Path]:
+    logs = [_DEMO, *(path.parent / "log.mcap" if path.is_dir() else path for path in options.scenes)]
+    if not options.quick:
+        try:
+            worlds = worlds_folder(options.worlds)
+            logs += [foreign_log(worlds, world, "A", "hand").log for world in ("home", "campus")]
+            logs += [kitchen] if (kitchen := worlds.parent / "data" / "redkitchen").is_dir() else []
+        except RecordingError as error:
+            print(f"without rooms by others: {error}", flush=True)
+    for scene, seed in _ROOMS[: 1 if options.quick else None]:
+        config = RecordingConfig(
+            scene=scene, seed=seed + options.seed, seconds=_SECONDS, rate_hz=6.0, width=480, height=270
+        )
+        make_recording(config, folder, scene, caster=None)
+        logs.append(folder / f"{scene}.mcap")
+    return logs
+
+
+def _is_alarm(log: Path, film: Sequence[RawFrame], length_s: float, rng: np.random.Generator) -> bool:
+    cut = _cut(film, length_s, rng)
+    found = examined(cut)
     # A cut of 2 s has too few keyframes, which is true.
     said = [text for text in (found.refusal or "", *found.problems) if text and "keyframes" not in text]
+    at_s = (cut[0].stamp_ns - film[0].stamp_ns) / 1e9
     for text in said:
-        print(f"  false alarm in {length_s:.0f} s at {film[0].stamp_ns}: {text}", flush=True)
+        print(f"  false alarm in {length_s:.0f} s of {log} from {at_s:.2f} s: {text}", flush=True)
+    for text in _intervals_that_fail(found):
+        print(f"  interval fails in {length_s:.0f} s of {log} from {at_s:.2f} s: {text}", flush=True)
     return bool(said)
 
 
-def _is_found(name: str, film: Frames, rng: np.random.Generator) -> bool:
-    frames, is_found = FAULTS[name](_cut(film, _FAULTY_S, rng), rng)
-    verdict = examined(frames)
+def _intervals_that_fail(sound: Diagnosis) -> list[str]:
+    motion, bias = sound.frames["motion"], sound.frames["depth_bias"]
+    failing = []
+    if bias is not None and abs(bias["bias_m"]) > 3 * bias["error_m"]:
+        failing.append(f"bias {bias['bias_m']:.3f} +- {3 * bias['error_m']:.3f} m")
+    if motion is not None and motion["scale"] is not None and abs(motion["scale"] - 1) > motion["scale_error"]:
+        failing.append(f"scale {motion['scale']} +- {motion['scale_error']}")
+    if motion is not None and motion["lag_s"] is not None and abs(motion["lag_s"]) > motion["lag_error_s"]:
+        failing.append(f"lag {motion['lag_s']} +- {motion['lag_error_s']} s")
+    return failing
+
+
+def _is_found(log: Path, name: str, film: Sequence[RawFrame], rng: np.random.Generator) -> bool:
+    cut = _cut(film, _FAULTY_S.get(name, 6.0), rng)
+    frames, is_found = FAULTS[name]([raw.decode() for raw in cut], rng)
+    verdict = examined(_of_memory(frames))
     if not is_found(verdict):
         said = verdict.refusal or "; ".join(verdict.problems + verdict.notes)
-        print(f"  not found: {name} in {film[0].camera.width}: {said}; {verdict.frames['motion']}", flush=True)
+        at_s = (cut[0].stamp_ns - film[0].stamp_ns) / 1e9
+        print(f"  not found: {name} in {log} from {at_s:.2f} s: {said}; {_evidence(verdict)}", flush=True)
     return is_found(verdict)
 
 
-def _cut(film: Frames, seconds: float, rng: np.random.Generator) -> Frames:
-    length_ns = (film[-1].stamp_ns - film[0].stamp_ns) / 1e9
-    start_ns = film[0].stamp_ns + round(1e9 * rng.uniform(0, max(length_ns - seconds, 0.0)))
-    return [frame for frame in film if start_ns <= frame.stamp_ns <= start_ns + 1e9 * seconds]
+def _evidence(verdict: Diagnosis) -> str:
+    return "; ".join(f"{name}: {verdict.frames[name]}" for name in ("motion", "depth_bias", "color_on_depth"))
+
+
+def _cut(film: Sequence[RawFrame], seconds: float, rng: np.random.Generator) -> Sequence[RawFrame]:
+    length_s = (film[-1].stamp_ns - film[0].stamp_ns) / 1e9
+    start_ns = film[0].stamp_ns + round(1e9 * rng.uniform(0, max(length_s - seconds, 0.0)))
+    return [raw for raw in film if start_ns <= raw.stamp_ns <= start_ns + 1e9 * min(seconds, length_s)]
 
 
 def _posed(frames: Frames, poses: Sequence[NDArray[np.float64]]) -> Frames:
@@ -116,7 +176,7 @@ def _scale(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[
     factor = float(rng.choice([10.0, 4.0, 0.001, 0.2, 1 / 0.3048]))
 
     def is_found(verdict: Diagnosis) -> bool:
-        return np.isclose(verdict.fixes.get("depth_units_per_m", 0), 1000 * factor, rtol=0.06)
+        return bool(np.isclose(verdict.fixes.get("depth_units_per_m", 0), 1000 * factor, rtol=0.06))
 
     return [replace(f, depth_m=f.depth_m * np.float32(factor)) for f in frames], is_found
 
@@ -196,6 +256,19 @@ def _bias(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[D
     return [replace(f, depth_m=f.depth_m + np.float32(bias_m)) for f in frames], is_found
 
 
+def _link(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[Diagnosis], bool]]:
+    # The link from depth to colour is off by an inch and more.
+    x_m = float(rng.choice([-0.04, -0.03, 0.03, 0.04]))
+    camera, link = frames[0].camera, from_rotation_translation(np.eye(3), np.array([x_m, 0.0, 0.0]))
+    registration = Registration(depth_camera=camera, color_camera=camera, color_from_depth=link)
+
+    def is_found(verdict: Diagnosis) -> bool:
+        found = verdict.frames["color_on_depth"]
+        return bool(found and found["is_off"] and abs(found["offset_m"][0] + x_m) <= found["error_m"])
+
+    return [replace(f, depth_m=register_depth(f.depth_m, registration)) for f in frames], is_found
+
+
 def _noise(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[Diagnosis], bool]]:
     def noisy(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         return (depth_m + rng.normal(0, 0.01, depth_m.shape) * depth_m * depth_m).astype(np.float32)
@@ -206,5 +279,5 @@ def _noise(frames: Frames, rng: np.random.Generator) -> tuple[Frames, Callable[[
 
 FAULTS: dict[str, Fault] = {
     "scale": _scale, "axes": _axes, "mirrored": _mirrored, "lag": _late, "robot": _foreign, "inverted": _inverted,
-    "twice": _twice, "bias": _bias, "noise": _noise,
+    "twice": _twice, "bias": _bias, "noise": _noise, "link": _link,
 }  # fmt: skip
