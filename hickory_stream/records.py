@@ -185,7 +185,8 @@ class Observation:
     `index` counts in the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w) within it.
     `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area`, `r_depth`: cheap factors
     of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the image's border. `group`: equal numbers > 0
-    are one instance without the map. `returns`: if they give the points to the byte.
+    are one instance without the map. `returns`: if they give the points to the byte. `behind`: the plane (unit normal
+    to the camera, offset) in the world that it is flush with, None: no such plane was seen beside it.
     """
 
     index: int
@@ -199,6 +200,7 @@ class Observation:
     is_cut: bool
     group: int = 0
     returns: Returns | None = None
+    behind: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         x0, y0, x1, y1 = self.box_px

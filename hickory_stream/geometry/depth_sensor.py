@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.geometry import portable
 
 Law = tuple[float, float, float]
 """What `sigma_at` takes, in compiled code: the floor, the constant and the quadratic term, or a multiple of them."""
@@ -86,6 +87,15 @@ class DepthSensor(Ranged):
 def sigma_at(z, law):
     """Return the standard deviation of a depth by the law of a `DepthSensor`."""
     return max(law[0], law[1] + law[2] * z * z)
+
+
+def information(
+    points_world: NDArray[np.float32], world_from_camera: NDArray[np.float64], law: Law
+) -> NDArray[np.float32]:
+    """Return 1 / sigma^2 of the depth of (N, 3) points that a camera sees."""
+    axis = world_from_camera[:3, 2]
+    depth = portable.matmul(points_world, axis[:, None])[:, 0] - portable.dot(axis, world_from_camera[:3, 3])
+    return (1.0 / np.square(np.maximum(law[0], law[1] + law[2] * depth * depth))).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

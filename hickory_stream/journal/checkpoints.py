@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze, frozen_array
-from hickory_stream.mapping.entities.cloud import Cloud, without
+from hickory_stream.mapping.entities.cloud import NAMES, Cloud, without
 from hickory_stream.mapping.entities.observed_space import SpaceState
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface
 from hickory_stream.mapping.entities.submaps import SubmapState
@@ -147,5 +147,6 @@ def _unpacked(value: Any) -> Any:
 
 
 def _is_same(a: Cloud, b: Cloud) -> bool:
-    pairs = ((a.keys, b.keys), (a.points, b.points), (a.colors, b.colors), (a.hits, b.hits))
-    return all(x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes() for x, y in pairs)
+    pairs = [(getattr(a, name), getattr(b, name)) for name in NAMES]
+    is_same = all(x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes() for x, y in pairs)
+    return is_same and a.behind == b.behind

@@ -93,6 +93,7 @@ class LazyRecords:
                 return kept
 
         solid = object.__new__(Cloud)
+        object.__setattr__(solid, "behind", cloud.behind)
         leave_unread(solid, num_solid, chosen)
         return replace(track, solid=solid)
 

@@ -216,7 +216,7 @@ def _ascends(keys: NDArray[np.int64]) -> bool:
 
 
 def _is_cloud(cloud: Cloud) -> bool:
-    sizes = {len(cloud.keys), len(cloud.points), len(cloud.colors), len(cloud.hits)}
+    sizes = {len(cloud.keys), len(cloud.points), len(cloud.colors), len(cloud.hits), len(cloud.weights)}
     return len(sizes) == 1 and _ascends(cloud.keys) and bool(np.isfinite(cloud.points).all())
 
 

@@ -86,7 +86,7 @@ class Snapshots:
             if state.is_judged(track) and track.phase is not Phase.ROOM:
                 shown = self._objects.get(track.id)
                 is_there = shown is not None and shown.track is track and np.array_equal(shown.place, np.eye(4))
-                known.append(shown.item if shown is not None and is_there else as_object(track))
+                known.append(shown.item if shown is not None and is_there else as_object(track, self._points_m))
         return tuple(known)
 
     def _follow(self, state: MapState) -> None:
@@ -124,7 +124,11 @@ class Snapshots:
     def _shown(self, track: Track, place: NDArray[np.float64]) -> _Shown:
         shown = self._objects.get(track.id)
         is_same = shown is not None and shown.track is track and shown.place is place
-        return shown if shown is not None and is_same else _Shown(track, place, _in_world(as_object(track), place))
+        return (
+            shown
+            if shown is not None and is_same
+            else _Shown(track, place, _in_world(as_object(track, self._points_m), place))
+        )
 
     def _submap(self, state: SubmapState) -> Submap:
         shown = self._submaps.get(state.id)

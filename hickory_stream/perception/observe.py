@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from math import isqrt
 
 import cv2
 import numpy as np
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.depth_sensor import sigma_at
+from hickory_stream.geometry.depth_sensor import information, sigma_at
+from hickory_stream.geometry.flush import Plane, flush_heights, plane_beside
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
@@ -31,6 +34,8 @@ _MIN_NEIGHBORS = 5
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
+# About so many pixels around a mask and in it are looked at for the surface that it is flush with.
+_BESIDE_PX = 600
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,6 +79,7 @@ def observe(
                 is_cut=_touches_border(box_px, frame.camera),
                 group=0 if alone is None else _group(alone, box_px, mask),
                 returns=lifted.returns,
+                behind=_behind(frame, box_px, mask, lifted.points),
             )
         )
     return tuple(observations), tuple(rejected)
@@ -131,6 +137,33 @@ def _lift(
     returns = Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum) if is_whole else None
     share = float(num_reliable / np.count_nonzero(mask))
     return _Lifted(points=points, colors=colors, inliers=inliers, valid_share=share, returns=returns)
+
+
+def _behind(
+    frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], points: NDArray[np.float32]
+) -> Plane | None:
+    # The plane of the returns around the mask, an area like its own, if its points are flush with that.
+    (x0, y0, x1, y1), camera, law, view = box_px, frame.camera, frame.sensor.law, frame.world_from_camera
+    edge_px = frame.sensor.edge_px(camera.fx)
+    reach = edge_px + max(4, min(x1 - x0, y1 - y0) // 4)
+    left, top, right, bottom = x0 - min(reach, x0), y0 - min(reach, y0), x1 + reach, y1 + reach
+    depth = frame.depth_m[top:bottom, left:right]
+    rim = np.zeros(depth.shape, np.uint8)
+    rim[y0 - top : y1 - top, x0 - left : x1 - left] = mask
+    beside = cv2.dilate(rim, np.ones((2 * edge_px + 1, 2 * edge_px + 1), np.uint8)) == 0
+    step = max(1, isqrt(rim.size // _BESIDE_PX))
+    u, v = rays_of(camera.cropped(left, top, left + depth.shape[1], top + depth.shape[0]))
+    plane = plane_beside(depth[::step, ::step], beside[::step, ::step], u[::step], v[::step], law)
+    length = portable.norm(plane)
+    if length == 0:
+        return None
+    # n p = d in the camera, with the camera on the side of n.
+    normal = portable.matmul(view[:3, :3], -plane[:, None] / length)[:, 0]
+    behind = (*normal.tolist(), float(portable.dot(normal, view[:3, 3]) - 1 / length))
+    weights = information(points, view, law)
+    depth_m = portable.dot(points.mean(axis=0, dtype=np.float64) - view[:3, 3], view[:3, 2])
+    width = min((x1 - x0) / camera.fx, (y1 - y0) / camera.fy) * depth_m
+    return None if flush_heights(points, weights, 1 / weights, behind, width) is None else behind
 
 
 def rays_of(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

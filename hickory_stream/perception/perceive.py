@@ -80,6 +80,7 @@ class Perceived:
             rejected=self.rejected,
             coarse=coarse_frame(frame.depth_m, self.segmentation.structure, frame.camera),
             degenerate=frame.degenerate,
+            depth_law=frame.sensor.law,
         )
 
 

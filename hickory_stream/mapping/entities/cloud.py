@@ -1,13 +1,14 @@
-"""The layer-1 cloud of a track: one mean point per voxel of the world's lattice, with the number of its sightings.
+"""The layer-1 cloud of a track: one mean point per voxel of the world's lattice, with its sightings and information.
 
-One lattice for all: clouds of one surface fall into the same cells, and surface alone bounds a cloud's size. Clouds
+One lattice for all: clouds of one surface fall into the same cells, and surface alone bounds a cloud's size. A point is
+worth 1 / sigma^2 of its depth, so that far returns count little where near ones are. Clouds
 that were not seen recently are compressed, to a fifth to a half, and read back to the byte; the object stays the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from threading import RLock
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -16,14 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import extent_of
+from hickory_stream.geometry.flush import Plane
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.lazy_arrays import Keep, compressed, in_memory, restored
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import are_near, coarse_keys, contains, keys_of_points, places, sorted_unique
 
-NAMES = ("keys", "points", "colors", "hits")
+NAMES = ("keys", "points", "colors", "hits", "weights")
 
+_NO_WEIGHTS = np.empty(0, np.float32)
 _lock = RLock()
 _cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
 
@@ -126,15 +130,27 @@ def _let_go(cloud: Any) -> None:
 _SETTLED_SIGHTINGS = 8
 _MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
 
+NO_PLANE = (0.0,) * 5
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class Cloud:
-    """Sorted voxel `keys` (N,), mean `points` on lattice steps and `colors` (N, 3), and frames per voxel `hits`."""
+    """Sorted voxel `keys` (N,), mean `points` on lattice steps and `colors` (N, 3), and frames per voxel `hits`.
+
+    `weights` (N,): the sums of 1 / sigma^2 of the frames' depth; without them each frame counts 1. `behind`: sums over
+    frames of the plane that the surface is flush with, normal and offset times weight, and of the weights.
+    """
 
     keys: NDArray[np.int64]
     points: NDArray[np.float32]
     colors: NDArray[np.float32]
     hits: NDArray[np.int32]
+    weights: NDArray[np.float32] = field(default_factory=lambda: _NO_WEIGHTS)
+    behind: tuple[float, float, float, float, float] = NO_PLANE
+
+    def __post_init__(self) -> None:
+        if self.weights is _NO_WEIGHTS:
+            object.__setattr__(self, "weights", self.hits.astype(np.float32))
 
     def __len__(self) -> int:
         return _count_of(self)
@@ -144,57 +160,75 @@ class Cloud:
         return unpacked(self, name)
 
 
-def cloud_of(points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float) -> Cloud:
-    """Return the cloud of one frame's points."""
-    keys = keys_of_points(points, voxel_m)
-    if (keys[1:] > keys[:-1]).all():  # lifted masks are voxel means: they have one point per voxel already
-        hits = np.ones(len(keys), dtype=np.int32)
-        return Cloud(keys=keys, points=points.astype(np.float32), colors=colors.astype(np.float32), hits=hits)
-    order = np.argsort(keys, kind="stable")
-    unique, starts = np.unique(keys[order], return_index=True)
-    counts = np.diff(np.append(starts, len(keys)))[:, None]
+def cloud_of(
+    points: NDArray[Any],
+    colors: NDArray[Any],
+    voxel_m: float,
+    weights: NDArray[np.float32] | None = None,
+    behind: Plane | None = None,
+) -> Cloud:
+    """Return the cloud of one frame's points; `behind` is the plane that they are flush with."""
+    weights = np.ones(len(points), np.float32) if weights is None else weights
+    keys, hits = keys_of_points(points, voxel_m), np.ones(len(points), np.int32)
+    total = float(weights.sum(dtype=np.float64))
+    x, y, z, offset = (value * total for value in behind or NO_PLANE[:4])
+    points, colors, plane = points.astype(np.float32), colors.astype(np.float32), (x, y, z, offset, total)
+    cloud = Cloud(keys=keys, points=points, colors=colors, hits=hits, weights=weights, behind=plane)
+    # Lifted masks are voxel means: they have one point per voxel already.
+    return cloud if (keys[1:] > keys[:-1]).all() else _of_equal_keys(cloud)
+
+
+def _of_equal_keys(cloud: Cloud) -> Cloud:
+    # Points that fall into one voxel become one mean; `keys` need not be sorted. Their errors are common.
+    order = np.argsort(cloud.keys, kind="stable")
+    unique, starts = np.unique(cloud.keys[order], return_index=True)
+    weights = cloud.weights[order].astype(np.float64)
+    totals = np.add.reduceat(weights, starts)
+
+    def mean(values: NDArray[Any]) -> NDArray[np.float32]:
+        return (np.add.reduceat(values[order] * weights[:, None], starts) / totals[:, None]).astype(np.float32)
+
     return Cloud(
         keys=unique,
-        points=on_steps((np.add.reduceat(points[order].astype(np.float64), starts) / counts).astype(np.float32)),
-        colors=(np.add.reduceat(colors[order].astype(np.float64), starts) / counts).astype(np.float32),
-        hits=np.ones(len(unique), dtype=np.int32),
+        points=on_steps(mean(cloud.points)),
+        colors=mean(cloud.colors),
+        hits=np.maximum.reduceat(cloud.hits[order], starts),
+        weights=np.maximum.reduceat(cloud.weights[order], starts),
+        behind=cloud.behind,
     )
 
 
 def fuse(a: Cloud, b: Cloud) -> Cloud:
-    """Return the union of two clouds: means weighted by hits."""
-    keys, points, colors, hits = _fused(a.keys, a.points, a.colors, a.hits, b.keys, b.points, b.colors, b.hits)
-    return Cloud(keys=keys, points=points, colors=colors, hits=hits)
+    """Return the union of two clouds: means weighted by information."""
+    arrays = _fused(*(getattr(cloud, name) for cloud in (a, b) for name in NAMES))
+    return Cloud(**dict(zip(NAMES, arrays, strict=True)), behind=_sum(a.behind, b.behind))
+
+
+def _sum(a: tuple[float, ...], b: tuple[float, ...], sign: float = 1.0) -> Any:
+    return tuple(x + sign * y for x, y in zip(a, b, strict=True))
 
 
 def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float) -> Cloud:
     """Return the cloud in another frame, on the lattice there: points that fall into one voxel become one mean."""
     points = on_steps(apply(new_from_old, cloud.points))
-    keys = keys_of_points(points, voxel_m)
-    order = np.argsort(keys, kind="stable")
-    unique, starts = np.unique(keys[order], return_index=True)
-    weights = cloud.hits[order].astype(np.float64)[:, None]
-    totals = np.add.reduceat(weights, starts)
-    return Cloud(
-        keys=unique,
-        points=on_steps((np.add.reduceat(points[order] * weights, starts) / totals).astype(np.float32)),
-        colors=(np.add.reduceat(cloud.colors[order] * weights, starts) / totals).astype(np.float32),
-        hits=np.maximum.reduceat(cloud.hits[order], starts),
-    )
+    normal = portable.matmul(new_from_old[:3, :3], np.array(cloud.behind[:3])[:, None])[:, 0]
+    offset = cloud.behind[3] + portable.dot(normal, new_from_old[:3, 3])
+    behind = (*normal.tolist(), float(offset), cloud.behind[4])
+    return _of_equal_keys(replace(cloud, keys=keys_of_points(points, voxel_m), points=points, behind=behind))
 
 
 def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
     """Return the voxels of a cloud that were hit since `then`, with the means of these hits."""
     known = contains(then.keys, now.keys)
     at = places(then.keys, now.keys[known])
-    before = np.zeros(len(now.keys), dtype=np.int64)
-    before[known] = then.hits[at]
+    before, weight = np.zeros(len(now.keys), dtype=np.int64), np.zeros(len(now.keys))
+    before[known], weight[known] = then.hits[at], then.weights[at]
     means = np.concatenate([now.points, now.colors], axis=1).astype(np.float64)
-    sums = means * now.hits[:, None]
-    sums[known] -= np.concatenate([then.points, then.colors], axis=1)[at].astype(np.float64) * before[known][:, None]
-    gained = now.hits - before
-    is_new = gained > 0
-    values = (sums[is_new] / gained[is_new][:, None]).astype(np.float32)
+    sums = means * now.weights[:, None]
+    sums[known] -= np.concatenate([then.points, then.colors], axis=1)[at].astype(np.float64) * weight[known][:, None]
+    gained, worth = now.hits - before, now.weights - weight
+    is_new = (gained > 0) & (worth > 0)
+    values = (sums[is_new] / worth[is_new][:, None]).astype(np.float32)
     values[:, :3] = on_steps(values[:, :3])
     keys = now.keys[is_new]
     # A mean that rounding, or a cloud that was trimmed in between, has taken out of its voxel is none.
@@ -205,18 +239,15 @@ def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
         points=np.ascontiguousarray(values[:, :3]),
         colors=np.ascontiguousarray(np.clip(values[:, 3:], 0, 255)),
         hits=gained[is_new].astype(np.int32),
+        weights=worth[is_new].astype(np.float32),
+        behind=_sum(now.behind, then.behind, -1.0),
     )
 
 
 def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
     """Return the cloud without the marked voxels."""
     kept = np.flatnonzero(~drop)
-    return Cloud(
-        keys=cloud.keys[kept],
-        points=cloud.points.take(kept, axis=0),
-        colors=cloud.colors.take(kept, axis=0),
-        hits=cloud.hits[kept],
-    )
+    return replace(cloud, **{name: getattr(cloud, name).take(kept, axis=0) for name in NAMES})
 
 
 def solid_part(cloud: Cloud, sightings: int) -> Cloud:
@@ -253,33 +284,33 @@ def share_near(keys: NDArray[np.int64], cloud: Cloud) -> float:
 
 
 @kernel
-def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):
+def _fused(a_keys, a_points, a_colors, a_hits, a_weights, b_keys, b_points, b_colors, b_hits, b_weights):
     size = len(a_keys) + len(b_keys)
     keys = np.empty(size, dtype=np.int64)
     points = np.empty((size, 3), dtype=np.float32)
     colors = np.empty((size, 3), dtype=np.float32)
-    hits = np.empty(size, dtype=np.int32)
+    hits, weights = np.empty(size, dtype=np.int32), np.empty(size, dtype=np.float32)
     i, j, n = 0, 0, 0
     while i < len(a_keys) or j < len(b_keys):
         takes_a = j == len(b_keys) or (i < len(a_keys) and a_keys[i] <= b_keys[j])
         takes_b = i == len(a_keys) or (j < len(b_keys) and b_keys[j] <= a_keys[i])
         if takes_a and takes_b:
-            total = np.float64(a_hits[i]) + np.float64(b_hits[j])
+            own, new = np.float64(a_weights[i]), np.float64(b_weights[j])
             for k in range(3):
-                point = np.float64(a_points[i, k]) * a_hits[i] + np.float64(b_points[j, k]) * b_hits[j]
-                color = np.float64(a_colors[i, k]) * a_hits[i] + np.float64(b_colors[j, k]) * b_hits[j]
-                points[n, k] = (np.rint(point / total * STEPS_PER_M) + 0.0) / STEPS_PER_M
-                colors[n, k] = color / total
-            keys[n], hits[n] = a_keys[i], a_hits[i] + b_hits[j]
+                point = np.float64(a_points[i, k]) * own + np.float64(b_points[j, k]) * new
+                color = np.float64(a_colors[i, k]) * own + np.float64(b_colors[j, k]) * new
+                points[n, k] = (np.rint(point / (own + new) * STEPS_PER_M) + 0.0) / STEPS_PER_M
+                colors[n, k] = color / (own + new)
+            keys[n], hits[n], weights[n] = a_keys[i], a_hits[i] + b_hits[j], own + new
         elif takes_a:
-            keys[n], hits[n] = a_keys[i], a_hits[i]
+            keys[n], hits[n], weights[n] = a_keys[i], a_hits[i], a_weights[i]
             for k in range(3):  # several times as fast as assigning whole rows
                 points[n, k], colors[n, k] = a_points[i, k], a_colors[i, k]
         else:
-            keys[n], hits[n] = b_keys[j], b_hits[j]
+            keys[n], hits[n], weights[n] = b_keys[j], b_hits[j], b_weights[j]
             for k in range(3):
                 points[n, k], colors[n, k] = b_points[j, k], b_colors[j, k]
         i += takes_a
         j += takes_b
         n += 1
-    return keys[:n].copy(), points[:n].copy(), colors[:n].copy(), hits[:n].copy()
+    return keys[:n].copy(), points[:n].copy(), colors[:n].copy(), hits[:n].copy(), weights[:n].copy()

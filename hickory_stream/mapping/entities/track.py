@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.flush import flush_heights
+from hickory_stream.geometry.lattice import on_steps
 from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import Superquadrics
@@ -181,15 +183,34 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
     return [track for track, is_near in zip(tracks, near, strict=True) if is_near]
 
 
-def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
+def box_of(points: NDArray[Any], voxel_m: float) -> OrientedBox:
     """Return the gravity-aligned box of a cloud without outliers; large clouds are subsampled."""
     points = points[:: max(1, len(points) // _BOX_POINTS)]
     return gravity_aligned_box(points[without_outliers(points)], voxel_m)
 
 
-def as_object(track: Track) -> TrackedObject:
+def settled(solid: Cloud, voxel_m: float) -> tuple[NDArray[np.float32], OrientedBox] | None:
+    """Return the points and the box of a cloud that is flush with the plane behind it, without its depth's noise."""
+    *summed, total = solid.behind
+    share = portable.norm(summed[:3])
+    # Two planes at right angles, each in half of the views by their information, would reach this share.
+    if not 2 * share * share > total * total:
+        return None
+    x, y, z, offset = (value / share for value in summed)
+    normal, points = np.array([x, y, z]), solid.points.astype(np.float64)
+    feet = points - (portable.matmul(points, normal[:, None]) - offset) * normal
+    width = 2 * float(np.sort(box_of(feet, voxel_m).half_extents_m)[1])
+    heights_m = flush_heights(points, solid.weights, solid.hits / solid.weights, (x, y, z, offset), width)
+    if heights_m is None:
+        return None
+    fronts = feet + heights_m[:, None] * normal
+    return on_steps(fronts), box_of(np.concatenate([fronts, feet]), voxel_m / 2)
+
+
+def as_object(track: Track, voxel_m: float) -> TrackedObject:
     """Return the public record of a track; its arrays are read from the track, perhaps compressed, on first use."""
     solid = track.solid
+    flush = settled(solid, voxel_m)
     item = TrackedObject(
         id=track.id,
         phase=track.phase,
@@ -199,7 +220,7 @@ def as_object(track: Track) -> TrackedObject:
         last_seen_ns=track.last_seen_ns,
         points_world=_NO_POINTS,
         colors=_NO_COLORS,
-        box=track.box,
+        box=track.box if flush is None else flush[1],
         feature=_mean_feature(track.views),
         views=track.views,
         best_view=track.best_view,
@@ -207,14 +228,16 @@ def as_object(track: Track) -> TrackedObject:
         merged_ids=track.merged_ids,
         sketch=track.sketch if track.shape is None else None,
     )
-    give_up(item, lambda name: _shown(solid, name), "points_world", "colors", of=(solid,))
+    own_m = None if flush is None else voxel_m
+    give_up(item, lambda name: _shown(solid, name, own_m), "points_world", "colors", of=(solid,))
     return item
 
 
-def _shown(solid: Cloud, name: str) -> NDArray[Any]:
+def _shown(solid: Cloud, name: str, flush_m: float | None) -> NDArray[Any]:
     # The same points, not a copy: nobody writes to the view.
     if name == "points_world":
-        return array_of(solid, "points").view()
+        flush = None if flush_m is None else settled(solid, flush_m)
+        return array_of(solid, "points").view() if flush is None else flush[0]
     return np.round(array_of(solid, "colors")).astype(np.uint8)
 
 

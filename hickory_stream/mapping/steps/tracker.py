@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.events import Effect, FrameObserved
 from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.depth_sensor import information
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.entities.existence import Existence, no_evidence, sighted
@@ -105,7 +106,9 @@ class Tracker:
 
     def _place(self, state: MapState, event: FrameObserved, match: Match) -> Sighting:
         observation = event.observations[match.observation_index]
-        cloud = cloud_of(observation.points_world, observation.colors, self._config.voxels.object_m)
+        points, voxel_m = observation.points_world, self._config.voxels.object_m
+        weights = information(points, event.world_from_camera, event.depth_law)
+        cloud = cloud_of(points, observation.colors, voxel_m, weights, observation.behind)
         if match.track_id is None:
             track_id = self._born(state, event, match, cloud)
             covered: tuple[int, ...] = ()
