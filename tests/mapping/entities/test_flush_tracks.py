@@ -25,14 +25,16 @@ def clouds(distance_m: float, count: int, sigma_per_m: float) -> dict[int, Cloud
     return {label: reduce(fuse, seen) for label, seen in found.items()}
 
 
-@pytest.mark.parametrize(("distance_m", "sigma_per_m"), [(2.0, 0.0012), (4.0, 0.0012), (4.0, 0.002)])
-def test_pictures_on_a_wall_have_their_thickness(distance_m, sigma_per_m):
+@pytest.mark.parametrize(
+    ("distance_m", "sigma_per_m", "least_iou"), [(2.0, 0.0012, 0.6), (4.0, 0.0012, 0.5), (4.0, 0.002, 0.4)]
+)
+def test_pictures_on_a_wall_have_their_thickness(distance_m, sigma_per_m, least_iou):
     made = clouds(distance_m, 6, sigma_per_m)
     assert len(made) == len(true_boxes())
     for label, cloud in made.items():
         true = true_boxes()[label - 1]
         points, box = settled(cloud, VOXEL_M)
-        assert box_iou(box, true) > max(0.5, box_iou(box_of(cloud.points, VOXEL_M), true))
+        assert box_iou(box, true) > max(least_iou, box_iou(box_of(cloud.points, VOXEL_M), true))
         assert (np.abs(points[:, 0] - 2 * true.half_extents_m[0]) < 0.03).all()
 
 
