@@ -165,8 +165,8 @@ def _layers(tracked: TrackedObject, meshes: Mapping[int, Mesh], view: CloseUp) -
     if mesh is None or tracked.shape is None:
         return []
     drawn = [("2: mesh", [_surface(mesh)])]
-    drawn.append(("3: superquadrics", superquadric_surfaces(tracked.shape.fitted, tracked)))
-    drawn.append(("4: inflated", superquadric_surfaces(tracked.shape.inflated, tracked)))
+    drawn.append(("3: superquadrics", superquadric_surfaces(tracked.shape.fitted, tracked.id)))
+    drawn.append(("4: inflated", superquadric_surfaces(tracked.shape.inflated, tracked.id)))
     return [_figure(name, draw(surfaces, view)) for name, surfaces in drawn]
 
 

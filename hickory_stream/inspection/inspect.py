@@ -330,7 +330,8 @@ def _count_objects(summary: MapSummary) -> str:
     counts = [(phase, sum(row.phase == phase for row in summary.objects)) for phase in Phase]
     fixtures = sum(row.kind is ObjectKind.FIXTURE for row in summary.objects)
     phases = ", ".join(f"{n} {phase}" for phase, n in counts if n) or "none"
-    return f"{len(summary.objects)} objects, {fixtures} of them fixtures ({phases})"
+    also = f", {fixtures} of them fixtures" if fixtures else ""
+    return f"{len(summary.objects)} objects{also} ({phases})"
 
 
 def _ending(summary: MapSummary) -> str:

@@ -118,14 +118,16 @@ def _surfaces(
     for tracked in objects:
         if tracked.shape is None:
             if 3 in layers and tracked.sketch is not None:
-                translucent.extend(superquadric_surfaces(tracked.sketch, tracked))
+                translucent.extend(superquadric_surfaces(tracked.sketch, tracked.id, is_fixture=tracked.is_fixture))
             continue
         if 2 in layers:
             solid.append(mesh_surface(saved, tracked, texture_px))
         if 3 in layers:
-            (translucent if 2 in layers else solid).extend(superquadric_surfaces(tracked.shape.fitted, tracked))
+            (translucent if 2 in layers else solid).extend(
+                superquadric_surfaces(tracked.shape.fitted, tracked.id, is_fixture=tracked.is_fixture)
+            )
         if 4 in layers:
-            translucent.extend(superquadric_surfaces(tracked.shape.inflated, tracked))
+            translucent.extend(superquadric_surfaces(tracked.shape.inflated, tracked.id, is_fixture=tracked.is_fixture))
     return solid, translucent
 
 

@@ -152,14 +152,14 @@ def _between_cells(faces, cell_of):
     return out[:count].copy()
 
 
-def superquadric_surfaces(primitives: Superquadrics, tracked: TrackedObject) -> list[Surface]:
+def superquadric_surfaces(primitives: Superquadrics, object_id: int, *, is_fixture: bool = False) -> list[Surface]:
     """Return layer 3 or 4 in the object's colour, with every second primitive a little darker."""
     surfaces = []
     for i in range(len(primitives)):
         vertices, faces = display_mesh(primitives, i, 0.004 * float(primitives.semi_axes_m[i].max()))
-        color = np.array(color_of_id(tracked.id, is_fixture=tracked.is_fixture)) * (1.0, 0.86, 0.93)[i % 3]
+        color = np.array(color_of_id(object_id, is_fixture=is_fixture)) * (1.0, 0.86, 0.93)[i % 3]
         colors = np.tile(color.astype(np.uint8), (len(vertices), 1))
-        surfaces.append(Surface(vertices=vertices, faces=faces, colors=colors, owner=tracked.id))
+        surfaces.append(Surface(vertices=vertices, faces=faces, colors=colors, owner=object_id))
     return surfaces
 
 

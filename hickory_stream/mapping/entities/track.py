@@ -80,8 +80,9 @@ class Track:
     existence: Existence = field(default_factory=no_evidence)
     kind: ObjectKind = ObjectKind.OBJECT
     fixture_probability: float = 0.0
-    #: number of solid points when its kind was judged last
+    #: numbers of its solid points and of its sightings when its kind was judged last
     judged_points: int = 0
+    judged_sightings: int = 0
 
     @property
     def names_of_views(self) -> tuple[str, ...]:

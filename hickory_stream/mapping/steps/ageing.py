@@ -43,8 +43,8 @@ from hickory_stream.mapping.steps.endings import drop, unite
 from hickory_stream.records import ObjectShape, Phase
 
 _ROUNDING_NS = 2
-# The kind of a track is judged again when the number of its points has changed by this share, and at the end.
-_JUDGED_GROWTH = 0.1
+# The kind of a track is judged again when its points or sightings have changed by this share, and at the end.
+_JUDGED_GROWTH = 0.2
 # A generated shape of which a keyframe sees this share to be free is renewed, if views have come since its request.
 _REFUTED_SHARE = 0.1
 
@@ -221,10 +221,11 @@ class TrackTransition:
         return done
 
     def judge(self, growth: float = 0.0) -> None:
-        """Judge whether the track is an object or a fixture, if its points have changed by more than this share."""
+        """Judge whether the track is an object or a fixture, if it has changed by more than a share since."""
         track = self.track
-        changed = abs(len(track.solid) - track.judged_points)
-        if not self.state.is_judged(track) or changed <= growth * track.judged_points:
+        has_grown = abs(len(track.solid) - track.judged_points) > growth * track.judged_points
+        was_seen = track.sightings - track.judged_sightings > growth * track.judged_sightings
+        if not self.state.is_judged(track) or not (has_grown or was_seen or growth == 0):
             return
         now, why = judged(track, self.space)
         if now.kind is not track.kind:
