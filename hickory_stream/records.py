@@ -4,7 +4,7 @@ All are frozen; arrays are checked for dtype and shape and made read-only, so th
 integer nanoseconds; the world is z up; lengths are metres.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, get_args
@@ -266,7 +266,18 @@ class Phase(StrEnum):
     ACTIVE = "active"
     DORMANT = "dormant"
     ARCHIVED = "archived"
-    ROOM = "room"
+
+    @classmethod
+    def _missing_(cls, value: object) -> "Phase | None":
+        # Earlier versions kept tracks of the room apart; they were no objects.
+        return cls.TENTATIVE if value == "room" else None
+
+
+class ObjectKind(StrEnum):
+    """What a track is: a fixture is built in, hangs, is attached to the room, or is too large to be carried."""
+
+    OBJECT = "object"
+    FIXTURE = "fixture"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -374,7 +385,8 @@ class TrackedObject(GivesUpArrays):
 
     `points_world` (N, 3) float32, one per occupied lattice voxel, with `colors` (N, 3) uint8; `feature` (D,): mean over
     kept views, unit norm, or None; `views`: by frame, `best_view` among them; `merged_ids`: tracks merged into it.
-    `sketch`: one superquadric in the world from points alone, of a confirmed object without `shape`.
+    `sketch`: one superquadric in the world from points alone, of a confirmed object without `shape`. `kind` is the
+    likelier one by `fixture_probability`.
     """
 
     id: int
@@ -392,6 +404,13 @@ class TrackedObject(GivesUpArrays):
     shape: ObjectShape | None
     merged_ids: tuple[int, ...] = ()
     sketch: Superquadrics | None = None
+    kind: ObjectKind = ObjectKind.OBJECT
+    fixture_probability: float = 0.0
+
+    @property
+    def is_fixture(self) -> bool:
+        """Whether it is a fixture rather than an object."""
+        return self.kind is ObjectKind.FIXTURE
 
     @property
     def superquadrics(self) -> Superquadrics | None:
@@ -405,6 +424,14 @@ class TrackedObject(GivesUpArrays):
         freeze(self, "colors", np.uint8, (len(self.points_world), 3))
         if self.feature is not None:
             freeze(self, "feature", np.float32, (None,))
+
+
+def number_of_kinds(items: Collection[TrackedObject]) -> str:
+    """Return how many objects and fixtures there are, in words."""
+    fixtures = sum(item.is_fixture for item in items)
+    objects = len(items) - fixtures
+    words = f"{objects} {'object' if objects == 1 else 'objects'}"
+    return f"{words}, {fixtures} {'fixture' if fixtures == 1 else 'fixtures'}" if fixtures else words
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
@@ -595,7 +622,7 @@ class MapSnapshot:
 
 
 DropCause = Literal["structure", "in structure", "looked through", "never confirmed"]
-"""Why a track is no object: structure, a piece of some, nothing where it should be, or seen too seldom."""
+"""Why a track is not in the map: nothing where it should be, or seen too seldom; the first two by earlier versions."""
 
 
 DecisionKind = Literal[
@@ -606,7 +633,8 @@ DecisionKind = Literal[
     "part",  # of two tracks that a correction of the poses had merged
     "trim",  # of the points of a track that are those of a wall
     "phase",  # of a track
-    "room",  # a track: set aside as part of the room, or an object after all
+    "kind",  # of a track: an object or a fixture
+    "room",  # the same, by earlier versions
     "view",  # of a track: a better one, or none
     "shape",  # of a track: asked for, made, failed
     "reject",  # a mask

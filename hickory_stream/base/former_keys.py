@@ -15,6 +15,7 @@ _DEPTH = 8
 _PRIOR = "the map's effect on a frame is perception.geometric.join.map_prior"
 _LEARNED = "trees that were trained with the network's odds join fragments"
 _GEOMETRY = "geometry decides what is structure"
+_KINDS = "what is large, or a part of the room, is a fixture of the map"
 _SEEN = "what is filled follows from what was seen around it"
 
 FORMER_KEYS = {
@@ -44,6 +45,9 @@ FORMER_KEYS = {
     "perception.masks.hidden_share": "its number is fixed now",
     "mapping.parts": "set mapping.split",
     "mapping.floating": "its numbers are fixed now",
+    "mapping.lifecycle.structure_m": _KINDS,
+    "mapping.lifecycle.revise_evidence": _KINDS,
+    "mapping.lifecycle.finds_structure": _KINDS,
     "perception.map_guided_merge": _PRIOR,
     "perception.known": _PRIOR,
     **dict.fromkeys(
@@ -87,6 +91,7 @@ perception.masks max_share=0.6 structure_share=0.5 duplicate_iou=0.8 inside_shar
     flat_area_m2=0.008 visible_share=0.25 occluded_share=0.6
 perception.observe agree_sigmas=3 min_neighbors=5 min_returns=24 min_points=12
 mapping.track sketch_growth=0.3
+mapping.lifecycle structure_m=2.6 revise_evidence=2 finds_structure=1
 mapping.associate settled_sightings=5 swollen_over=0.5 most_doubted=4 patience=3 patience_share=0.2 lies_in=0.2
 mapping.existence apart_rad=0.6 apart_ratio=2 full_sr=0.004
 mapping.lifecycle phantom_share=0.7 structure_m3=12 wall_foot_m=0.7 wall_top_m=1.25 wall_height_m=0.75

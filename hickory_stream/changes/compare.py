@@ -185,14 +185,16 @@ def _of_pair(both: _Compared, i: int, j: int, overlap: float, config: ChangesCon
     sized = likeness(one, other, config, with_size=True, with_feature=both.with_feature)
     as_large = probability_same(sized, config.look_floor)
     shift = other.box.center - one.box.center
-    is_away = float(np.linalg.norm(shift)) > config.moved_m + both.near_m - config.near_m
+    # A fixture does not move: its boundary was drawn elsewhere, or another one took its place.
+    may_move = not (one.is_fixture or other.is_fixture)
+    is_away = may_move and float(np.linalg.norm(shift)) > config.moved_m + both.near_m - config.near_m
     moved = probability_changed(evidence, config)
     if is_away and sized >= config.unlike and evidence.free >= config.moved_free and moved >= 0.5:
         return _change(Verdict.MOVED, one, other, moved * same, evidence)
     differs = _differs(evidence, both.evidence_in_a(j), config)
     if differs >= config.min_probability:
         # The same thing, turned on the spot, or another one.
-        is_turned = as_large >= config.alike
+        is_turned = may_move and as_large >= config.alike
         verdict, sure = (Verdict.MOVED, as_large) if is_turned else (Verdict.EXCHANGED, 1 - as_large)
         return _change(verdict, one, other, differs * sure, evidence)
     # A place that is taken by something alike: overlap speaks for it as free space speaks against it.
@@ -215,8 +217,8 @@ def _of_single(
     evidence_a = {i: both.evidence_in_b(i) for i in left_a}
     evidence_b = {j: both.evidence_in_a(j) for j in left_b}
     # What still shows a surface where it was has not moved away.
-    away = [i for i in left_a if evidence_a[i].free >= evidence_a[i].structure + evidence_a[i].objects]
-    arrived = [j for j in left_b if evidence_b[j].free >= evidence_b[j].structure + evidence_b[j].objects]
+    away = [i for i in left_a if not both.a_objects[i].is_fixture and _is_bare(evidence_a[i])]
+    arrived = [j for j in left_b if not both.b_objects[j].is_fixture and _is_bare(evidence_b[j])]
     moved = _moved(both, away, arrived, config)
     changes = []
     for i, j, same in moved:
@@ -228,6 +230,10 @@ def _of_single(
     changes += [_alone(both.a_objects[i], None, evidence_a[i], config) for i in left_a if i not in gone_a]
     changes += [_alone(None, both.b_objects[j], evidence_b[j], config) for j in left_b if j not in gone_b]
     return changes
+
+
+def _is_bare(evidence: Evidence) -> bool:
+    return evidence.free >= evidence.structure + evidence.objects
 
 
 def _moved(

@@ -13,10 +13,16 @@ _GOLDEN_RATIO = 0.6180339887498949
 _SATURATIONS = (0.72, 0.5, 0.88)
 
 
-def color_of_id(object_id: int) -> tuple[int, int, int]:
-    """Return the (r, g, b) uint8 colour of an object; hues step by the golden ratio, so that neighbours differ."""
-    hue = (0.07 + object_id * _GOLDEN_RATIO) % 1.0
-    r, g, b = colorsys.hsv_to_rgb(hue, _SATURATIONS[object_id % len(_SATURATIONS)], 0.96)
+def color_of_id(object_id: int, *, is_fixture: bool = False) -> tuple[int, int, int]:
+    """Return the (r, g, b) uint8 colour of an object; hues step by the golden ratio, so that neighbours differ.
+
+    Fixtures are blue-grey, and differ in brightness alone.
+    """
+    step = (0.07 + object_id * _GOLDEN_RATIO) % 1.0
+    if is_fixture:
+        r, g, b = colorsys.hsv_to_rgb(0.59, 0.45, 0.5 + 0.35 * step)
+    else:
+        r, g, b = colorsys.hsv_to_rgb(step, _SATURATIONS[object_id % len(_SATURATIONS)], 0.96)
     return round(255 * r), round(255 * g), round(255 * b)
 
 

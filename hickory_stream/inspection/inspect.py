@@ -15,7 +15,7 @@ from hickory_stream.inspection.object_geometry import Place, place_of
 from hickory_stream.inspection.supports import support_text, supports_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.floor_warnings import floor_warnings
-from hickory_stream.records import Containment, FitKind, ObjectShape, Phase, TrackedObject
+from hickory_stream.records import Containment, FitKind, ObjectKind, ObjectShape, Phase, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +37,8 @@ class ObjectSummary:
 
     id: int
     phase: Phase
+    kind: ObjectKind
+    fixture_probability: float
     submap_id: int
     #: pose and size of its best layer
     place: Place
@@ -201,6 +203,8 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
     return ObjectSummary(
         id=tracked.id,
         phase=tracked.phase,
+        kind=tracked.kind,
+        fixture_probability=tracked.fixture_probability,
         submap_id=tracked.submap_id,
         place=place_of(tracked, saved.mesh(shape) if shape else None),
         sightings=tracked.sightings,
@@ -240,8 +244,8 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_PLACE_HEADER = ("id", "phase", "sightings", "layers", "x m", "y m", "z m", "yaw deg", "size m", "litres", "color",
-                 "held by")  # fmt: skip
+_PLACE_HEADER = ("id", "kind", "phase", "sightings", "layers", "x m", "y m", "z m", "yaw deg", "size m", "litres",
+                 "color", "held by")  # fmt: skip
 _OBJECT_HEADER = ("id", "submap", "placed by", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
 
@@ -264,6 +268,7 @@ def _place_row(row: ObjectSummary, near: tuple[float, float] | None) -> tuple[st
     place = row.place
     return (
         str(row.id),
+        row.kind,
         row.phase,
         str(row.sightings),
         "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),
@@ -299,7 +304,7 @@ def _layer_row(row: LayerSummary) -> tuple[str, ...]:
 
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    is_text = [row_i in ("phase", "layers", "color", "held by", "") for row_i in rows[0]]
+    is_text = [row_i in ("kind", "phase", "layers", "color", "held by", "") for row_i in rows[0]]
     return [
         "  ".join(
             cell.ljust(width) if text else cell.rjust(width)
@@ -323,7 +328,10 @@ def _count_objects(summary: MapSummary) -> str:
     if len(summary.objects) < summary.num_objects:
         return f"{len(summary.objects)} of {summary.num_objects} objects"
     counts = [(phase, sum(row.phase == phase for row in summary.objects)) for phase in Phase]
-    return f"{len(summary.objects)} objects ({', '.join(f'{n} {phase}' for phase, n in counts if n) or 'none'})"
+    fixtures = sum(row.kind is ObjectKind.FIXTURE for row in summary.objects)
+    phases = ", ".join(f"{n} {phase}" for phase, n in counts if n) or "none"
+    also = f", {fixtures} of them fixtures" if fixtures else ""
+    return f"{len(summary.objects)} objects{also} ({phases})"
 
 
 def _ending(summary: MapSummary) -> str:

@@ -15,7 +15,7 @@ from hickory_stream.inspection.track_history import Stretch, TrackStory, ending_
 from hickory_stream.map_folder.history.recorded import final_snapshot, recorded_steps
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.records import MapSnapshot, Phase
+from hickory_stream.records import MapSnapshot, ObjectKind, Phase
 
 _IN_WORDS: dict[PlaceWhere, str] = {
     "mask": "in a mask",
@@ -36,6 +36,8 @@ class ObjectThere:
 
     id: int
     phase: Phase
+    kind: ObjectKind
+    fixture_probability: float
     distance_m: float
 
 
@@ -105,7 +107,15 @@ def _objects_at(final: MapSnapshot, point_map: NDArray[np.float64]) -> tuple[Obj
         if len(tracked.points_world):
             distance_m = float(cKDTree(tracked.points_world).query(point_map)[0])
             if distance_m <= AT_M:
-                found.append(ObjectThere(id=tracked.id, phase=tracked.phase, distance_m=distance_m))
+                found.append(
+                    ObjectThere(
+                        id=tracked.id,
+                        phase=tracked.phase,
+                        kind=tracked.kind,
+                        fixture_probability=tracked.fixture_probability,
+                        distance_m=distance_m,
+                    )
+                )
     return tuple(sorted(found, key=lambda there: (there.distance_m, there.id)))
 
 
@@ -117,7 +127,7 @@ def _verdict(there: tuple[ObjectThere, ...], sightings: list[PlaceSighting], boo
         parts = ", ".join(f"{_IN_WORDS[w]} in {n}" for w, n in sorted(counts.items(), key=lambda kv: (-kv[1], kv[0])))
         text = f"of {len(sightings)} keyframes that have it in the image: {parts}"
     if there:
-        return f"in object #{there[0].id}; {text}"
+        return f"in {there[0].kind} #{there[0].id}; {text}"
     tracks = Counter(s.track_id for s in sightings if s.where == "mask" and s.track_id is not None)
     ends = "; ".join(
         f"{count} of its masks went to {ending_text(book, i)}"

@@ -20,7 +20,7 @@ class TrackStory:
     born: str
     num_keyframes: int
     turns: tuple[str, ...]
-    #: reclassifications as structure of the room, or as an object
+    #: when it became a fixture, or an object again
     changes: tuple[str, ...]
     ending: str
     #: object of the map that it became, itself or by merging; None for a dropped track

@@ -30,7 +30,7 @@ _Later = Mapping[str, Callable[[], "NDArray[Any]"]]
 _ARRAYS: Mapping[type, tuple[str, ...]] = {
     Cloud: NAMES,
     PackedTrack: ("is_solid",),
-    SpaceState: ("free", "hidden_free", "surface", "hits", "misses", "room"),
+    SpaceState: ("free", "hidden_free", "surface", "hits", "misses"),
     SubmapSurface: ("keys", "points", "normals", "hits"),
 }
 

@@ -29,6 +29,7 @@ from hickory_stream.records import (
     GraphEdge,
     GraphNode,
     MapSnapshot,
+    ObjectKind,
     ObjectShape,
     ObservedSpace,
     Phase,
@@ -243,6 +244,8 @@ def encode_object(tracked: TrackedObject, points_name: str) -> Json:
         "shape": None if tracked.shape is None else _encode_shape(tracked.shape),
         "merged_ids": [int(i) for i in tracked.merged_ids],
         "sketch": None if tracked.sketch is None else encode_superquadrics(tracked.sketch),
+        "kind": str(tracked.kind),
+        "fixture_probability": json_number(tracked.fixture_probability),
     }
 
 
@@ -280,6 +283,9 @@ def _object_with(entry: Json, arrays: Arrays) -> TrackedObject:
         shape=None if entry["shape"] is None else _decode_shape(entry["shape"]),
         merged_ids=tuple(whole_number(i, "merged id") for i in entry["merged_ids"]),
         sketch=None if entry["sketch"] is None else decode_superquadrics(entry["sketch"]),
+        # Maps of earlier versions have objects alone.
+        kind=ObjectKind(entry.get("kind", ObjectKind.OBJECT)),
+        fixture_probability=float(entry.get("fixture_probability", 0.0)),
     )
 
 

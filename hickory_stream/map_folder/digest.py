@@ -65,6 +65,8 @@ def _object_values(tracked: TrackedObject) -> tuple[Any, ...]:
         _shape_values(tracked.shape) if tracked.shape else None,
         tracked.merged_ids,
         *((_primitive_values(tracked.sketch),) if tracked.sketch is not None else ()),
+        # Maps of before there were kinds keep their digests.
+        *((str(tracked.kind), tracked.fixture_probability) if tracked.fixture_probability else ()),
     )
 
 

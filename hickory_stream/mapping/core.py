@@ -34,7 +34,7 @@ from hickory_stream.mapping.entities.submaps import SubmapState, first_submap, i
 from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.snapshots import Snapshots
-from hickory_stream.mapping.steps.ageing import age_tracks, end_tracks, keep_room
+from hickory_stream.mapping.steps.ageing import age_tracks, end_tracks
 from hickory_stream.mapping.steps.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.steps.shapes import end_shape, request_shapes
 from hickory_stream.mapping.steps.submaps import begin_keyframe, end_search, end_submap, jump, see_space
@@ -91,7 +91,6 @@ class MapperCore:
                 return [*end_submap(state, open_id, self.snapshot, self._config.submaps)]
             case PosesCorrected():
                 effects = place_submaps(state, event, self._config, merges=not self._tracker.is_external)
-                keep_room(state)
                 # The decisions are published with the next keyframe.
                 return [*effects, *drop_unused_views(state), Publish(snapshot=self.snapshot(), decisions=())]
             case LoopsSearched():

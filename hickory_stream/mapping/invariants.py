@@ -17,7 +17,6 @@ from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.entities.cloud import Cloud
 from hickory_stream.mapping.entities.observed_space import SpaceState
-from hickory_stream.mapping.entities.submaps import own_space
 from hickory_stream.mapping.entities.track import is_object
 from hickory_stream.mapping.map_state import MapState
 
@@ -165,7 +164,7 @@ def _misowned_voxels(state: MapState) -> Iterator[str]:
 
 def _other_judges(state: MapState) -> Iterator[str]:
     submaps = state.submaps
-    if submaps.first == submaps.open_id and not _is_same_space(submaps.space, own_space(submaps.states[-1])):
+    if submaps.first == submaps.open_id and not _is_same_space(submaps.space, submaps.states[-1].seen):
         yield "another space"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.events import SearchLoops
-from hickory_stream.mapping.derived import Derived, RoomVoxels
+from hickory_stream.mapping.derived import Derived
 from hickory_stream.mapping.entities.observed_space import SpaceState
 from hickory_stream.mapping.entities.submaps import Submaps
 from hickory_stream.mapping.entities.track import Track, without_views
@@ -160,9 +160,7 @@ class MapState:
         for name, value in expected.items():
             if isinstance(value, (list, dict, set, TrackTable)):  # a written state has tuples where there were lists
                 values[name] = type(value)(parts[name])
-        state = cls(**values)
-        state.derived.room = RoomVoxels.of_tracks(state.tracks, state.submaps.first)
-        return state
+        return cls(**values)
 
     def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
         """Prepare this earlier state for continuing after a rewind from `later`; see `MapperCore.going_on_after`."""

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.lazy_arrays import give_up, has_given_up, made_of, read_briefly
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.mapping.entities.observed_space import as_record, with_room
+from hickory_stream.mapping.entities.observed_space import as_record
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.entities.submaps import LEAST_BESIDE_M, SubmapState, record_of
 from hickory_stream.mapping.entities.track import Track, as_object
 from hickory_stream.mapping.entities.track_table import Mark
 from hickory_stream.mapping.map_state import MapState
-from hickory_stream.records import MapPrior, MapSnapshot, ObservedSpace, Phase, Submap, TrackedObject
+from hickory_stream.records import MapPrior, MapSnapshot, ObjectKind, ObservedSpace, Phase, Submap, TrackedObject
 
 _NO_KEYS = np.empty(0, dtype=np.int64)
 
@@ -71,19 +71,16 @@ class Snapshots:
 
     def _observed_space(self, state: MapState) -> ObservedSpace:
         submaps = state.submaps
-        space = submaps.space
-        if len(space.room):
-            # Without tracks that are part of the room: conclusions of the map must not become evidence for themselves.
-            return as_record(with_room(space, _NO_KEYS))
         is_one = submaps.first == submaps.open_id
-        return self._submap(submaps.states[-1]).observed_space if is_one else as_record(space)
+        return self._submap(submaps.states[-1]).observed_space if is_one else as_record(submaps.space)
 
     def _known_objects(self, state: MapState) -> tuple[TrackedObject, ...]:
         # As far around the last view as the space reaches at least.
         near = state.tracks.ordered() if state.sight is None else state.tracks.touching(state.sight, LEAST_BESIDE_M)
         known = []
         for track in near:
-            if state.is_judged(track) and track.phase is not Phase.ROOM:
+            # Not fixtures, which may be pieces of a wall: the map must not confirm itself.
+            if state.is_judged(track) and track.kind is not ObjectKind.FIXTURE:
                 shown = self._objects.get(track.id)
                 is_there = shown is not None and shown.track is track and np.array_equal(shown.place, np.eye(4))
                 known.append(shown.item if shown is not None and is_there else as_object(track, self._points_m))
@@ -111,7 +108,7 @@ class Snapshots:
         if phase is not None:
             self._phases[track_id] = phase
             self._num_of[phase] += 1
-        if track is None or phase is Phase.ROOM:
+        if track is None:
             self._objects.pop(track_id, None)
         else:
             is_between = track_id not in self._objects and track_id < next(reversed(self._objects), 0)

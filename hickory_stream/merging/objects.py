@@ -13,7 +13,7 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.superquadric import log_implicit_value
 from hickory_stream.mapping.entities.cloud import cloud_of, fuse
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-from hickory_stream.records import TrackedObject, View
+from hickory_stream.records import ObjectKind, TrackedObject, View
 
 _VOXEL_M = 0.01
 _NEW_M, _SAMPLE = 0.02, 2000
@@ -54,6 +54,7 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
     views = tuple(sorted(_best_views(items, max_views), key=lambda view: view.name))
     scored = [view for view in views if view.score is not None]
     shape = keeper.shape
+    fixed = float(np.average([item.fixture_probability for item in items], weights=[item.sightings for item in items]))
     item = replace(
         first,
         sightings=sum(item.sightings for item in items),
@@ -67,6 +68,8 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
         best_view=replace(max(scored, key=lambda view: view.score or 0.0), object_id=first.id) if scored else None,
         shape=shape,
         sketch=keeper.sketch,
+        kind=ObjectKind.FIXTURE if fixed > 0.5 else ObjectKind.OBJECT,
+        fixture_probability=fixed,
     )
     # Without views there is nothing to make a shape of but what made none before.
     changed = max(left_out[keeper.id], _new_share(keeper.points_world, points))

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry.display import color_of_id
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -17,13 +19,16 @@ Color = tuple[int, int, int]
 GENERATED: Color = (226, 64, 200)
 """Tint of surface that no view shows: a reconstructor generated it."""
 GENERATED_TEXT = "generated: no view shows this surface"
+FIXTURE: Color = color_of_id(7, is_fixture=True)
+"""Tint of fixtures."""
+FIXTURE_TEXT = "fixture: built in, attached, or too large to be carried"
 _SHARE = 0.45
 _ROW_PX, _SWATCH_PX, _GAP_PX, _SIZE = 22, 12, 18, 0.45
 
 
-def with_tint(colors: NDArray[np.uint8], is_seen: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return colours (..., 3), mixed with `GENERATED` where not `is_seen` (...)."""
-    tinted = np.round((1 - _SHARE) * colors + _SHARE * np.array(GENERATED))
+def with_tint(colors: NDArray[np.uint8], is_seen: NDArray[Any], tint: Color = GENERATED) -> NDArray[np.uint8]:
+    """Return colours (..., 3), mixed with a tint where not `is_seen` (...)."""
+    tinted = np.round((1 - _SHARE) * colors + _SHARE * np.array(tint))
     return np.where(is_seen[..., None], colors, tinted).astype(np.uint8)
 
 

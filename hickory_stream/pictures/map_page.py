@@ -23,8 +23,8 @@ from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import centers_of_keys
-from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT
-from hickory_stream.records import Phase
+from hickory_stream.pictures.legend import FIXTURE, FIXTURE_TEXT, GENERATED, GENERATED_TEXT
+from hickory_stream.records import Phase, number_of_kinds
 from hickory_stream.storeys import floor_of, floors_of
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def map_page(saved: SavedMap, meshes: trimesh.Scene) -> bytes:
         "generated": GENERATED,
         "room_m": 0.4 * max((submap.observed_space.voxel_m for submap in snapshot.submaps), default=0.05),
         "legend": [
+            (FIXTURE, FIXTURE_TEXT),
             (GENERATED, GENERATED_TEXT),
             (_FLOOR_COLOR, f"floor grid of {grid['step']:g} m; x red, y green"),
         ],
@@ -84,7 +85,7 @@ def map_page(saved: SavedMap, meshes: trimesh.Scene) -> bytes:
     name = str(saved.manifest.source.get("uri", saved.folder.name)).rstrip("/").rsplit("/", maxsplit=1)[-1]
     parts = {
         "title": html.escape(visible(name)),
-        "about": f"{len(objects)} objects, {num_floors} floor{'' if num_floors == 1 else 's'}; metres, z up",
+        "about": f"{number_of_kinds(objects)}, {num_floors} floor{'' if num_floors == 1 else 's'}; metres, z up",
         "three": three_js(),
         # No text of the data ends its element.
         "data": dumps(data).replace("<", "\\u003c"),
@@ -112,7 +113,7 @@ def three_js() -> str:
 def _facts(tracked: TrackedObject, meshes: trimesh.Scene) -> dict[str, Any]:
     size = " x ".join(f"{2 * half_m:.2f}" for half_m in tracked.box.half_extents_m) + " m"
     lines = [
-        f"#{tracked.id}, {tracked.phase}, {tracked.sightings} sightings",
+        f"#{tracked.id}, {tracked.kind}, {tracked.phase}, {tracked.sightings} sightings",
         f"size {size}",
         "centre " + ", ".join(f"{value:.2f}" for value in tracked.box.center) + " m",
         f"{len(tracked.points_world)} points",
@@ -124,7 +125,7 @@ def _facts(tracked: TrackedObject, meshes: trimesh.Scene) -> dict[str, Any]:
     return {
         "id": tracked.id,
         "size": size,
-        "color": color_of_id(tracked.id),
+        "color": color_of_id(tracked.id, is_fixture=tracked.is_fixture),
         "box": tracked.box.corners_world().tolist(),
         "text": "\n".join(lines),
     }

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry.display import color_of_id
 from hickory_stream.pictures.labels import (
     Label,
     draw_caption,
@@ -18,12 +19,13 @@ from hickory_stream.pictures.labels import (
     most_visible,
     place_labels,
 )
-from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, draw_legend
+from hickory_stream.pictures.legend import FIXTURE, FIXTURE_TEXT, GENERATED, GENERATED_TEXT, draw_legend
 from hickory_stream.pictures.rasterize import Dots, first_hits
 from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
 from hickory_stream.pictures.render_view import Floor, Model, draw_view, floor_around
 from hickory_stream.pictures.viewpoint import Viewpoint, corners_of, from_above, from_corner
+from hickory_stream.records import number_of_kinds
 from hickory_stream.storeys import floors_of
 
 if TYPE_CHECKING:
@@ -87,8 +89,9 @@ def render_map(
         if len(storeys) > 1:
             draw_caption(above.of(below), f"floor at {storey.floor_m:.2f} m: {len(storey.objects)} objects")
     draw_title(image[:_TITLE_PX], _title(saved, storeys, layers))
-    if 2 in layers:
-        draw_legend(image, [(GENERATED_TEXT, GENERATED)])
+    entries = [(FIXTURE_TEXT, FIXTURE)] * any(tracked.is_fixture for one in storeys for tracked in one.objects)
+    if entries := [*entries, *([(GENERATED_TEXT, GENERATED)] * (2 in layers))]:
+        draw_legend(image, entries)
     return image
 
 
@@ -115,14 +118,16 @@ def _surfaces(
     for tracked in objects:
         if tracked.shape is None:
             if 3 in layers and tracked.sketch is not None:
-                translucent.extend(superquadric_surfaces(tracked.sketch, tracked.id))
+                translucent.extend(superquadric_surfaces(tracked.sketch, tracked.id, is_fixture=tracked.is_fixture))
             continue
         if 2 in layers:
             solid.append(mesh_surface(saved, tracked, texture_px))
         if 3 in layers:
-            (translucent if 2 in layers else solid).extend(superquadric_surfaces(tracked.shape.fitted, tracked.id))
+            (translucent if 2 in layers else solid).extend(
+                superquadric_surfaces(tracked.shape.fitted, tracked.id, is_fixture=tracked.is_fixture)
+            )
         if 4 in layers:
-            translucent.extend(superquadric_surfaces(tracked.shape.inflated, tracked.id))
+            translucent.extend(superquadric_surfaces(tracked.shape.inflated, tracked.id, is_fixture=tracked.is_fixture))
     return solid, translucent
 
 
@@ -167,7 +172,7 @@ def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> 
     num_floors = len(floors_of(saved.snapshot))
     of_all = f" of {num_floors}, --floor draws one" if num_floors > len(storeys) else ""
     text = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
-    return f"{name}    {len(objects)} objects{text}    layer {shown}"
+    return f"{name}    {number_of_kinds(objects)}{text}    layer {shown}"
 
 
 # ---- one panel ------------------------------------------------------------------------------------------------------
@@ -176,7 +181,8 @@ def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> 
 def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture from one viewpoint, with labels."""
     drawn = draw_view(model, viewpoint)
-    draw_labels(drawn, labels_of(viewpoint, objects, dots))
+    colors = {tracked.id: color_of_id(tracked.id, is_fixture=True) for tracked in objects if tracked.is_fixture}
+    draw_labels(drawn, labels_of(viewpoint, objects, dots), colors)
     return drawn
 
 

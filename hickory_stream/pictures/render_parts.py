@@ -15,7 +15,7 @@ from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells, keys_of_points
-from hickory_stream.pictures.legend import with_tint, with_tinted_image
+from hickory_stream.pictures.legend import FIXTURE, with_tint, with_tinted_image
 from hickory_stream.pictures.rasterize import Dots
 from hickory_stream.pictures.raycast import Surface
 
@@ -50,7 +50,9 @@ _QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 def dots_of(tracked: TrackedObject) -> Dots:
     """Return layer 1: dots about as large as the spacing of the points."""
     points = tracked.points_world
-    return Dots(points=points, colors=tracked.colors, half_m=_COVER * _spacing_m(points), owner=tracked.id)
+    return Dots(
+        points=points, colors=_shown(tracked, tracked.colors), half_m=_COVER * _spacing_m(points), owner=tracked.id
+    )
 
 
 def coarse_squares(dots: Dots, viewpoint: Viewpoint) -> Surface:
@@ -77,8 +79,14 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
         textured = textured_object(saved.views, tracked, mesh, texture_px, is_past=True)
         mesh, uv, image = textured.mesh, textured.uv, with_tinted_image(textured)
     vertices = apply(tracked.shape.world_from_object, mesh.vertices)
-    colors = with_tint(mesh.colors, mesh.is_seen)
+    colors = _shown(tracked, with_tint(mesh.colors, mesh.is_seen))
+    image = None if image is None else _shown(tracked, image)
     return Surface(vertices=vertices, faces=mesh.faces, colors=colors, owner=tracked.id, uv=uv, image=image)
+
+
+def _shown(tracked: TrackedObject, colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # Fixtures have a tint.
+    return with_tint(colors, np.zeros(colors.shape[:-1], dtype=bool), FIXTURE) if tracked.is_fixture else colors
 
 
 def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
@@ -144,12 +152,12 @@ def _between_cells(faces, cell_of):
     return out[:count].copy()
 
 
-def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:
+def superquadric_surfaces(primitives: Superquadrics, object_id: int, *, is_fixture: bool = False) -> list[Surface]:
     """Return layer 3 or 4 in the object's colour, with every second primitive a little darker."""
     surfaces = []
     for i in range(len(primitives)):
         vertices, faces = display_mesh(primitives, i, 0.004 * float(primitives.semi_axes_m[i].max()))
-        color = np.array(color_of_id(object_id)) * (1.0, 0.86, 0.93)[i % 3]
+        color = np.array(color_of_id(object_id, is_fixture=is_fixture)) * (1.0, 0.86, 0.93)[i % 3]
         colors = np.tile(color.astype(np.uint8), (len(vertices), 1))
         surfaces.append(Surface(vertices=vertices, faces=faces, colors=colors, owner=object_id))
     return surfaces

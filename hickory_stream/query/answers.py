@@ -176,6 +176,8 @@ def _quantity_m(index: MapIndex, quantity: Quantity) -> NDArray[np.float64]:
         return np.asarray(index.sides_m.max(axis=1, initial=0.0))
     if quantity is Quantity.UNDERSIDE:
         return index.bottom_m
+    if quantity is Quantity.FIXED:
+        return index.fixed
     if quantity is Quantity.SLENDERNESS:
         return np.asarray(index.sides_m[:, 2] / np.maximum(index.sides_m[:, 0], 1e-6))
     return index.sides_m[:, (Quantity.LENGTH, Quantity.WIDTH, Quantity.HEIGHT).index(quantity)]

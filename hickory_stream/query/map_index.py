@@ -61,6 +61,8 @@ class MapIndex:
     #: (N, 3) longer and shorter horizontal side, and height
     sides_m: NDArray[np.float64]
     bottom_m: NDArray[np.float64]
+    #: (N,) probability of a fixture
+    fixed: NDArray[np.float64]
     #: (N, 12) shares of `COLOR_NAMES`
     colors: NDArray[np.float64]
     #: (N, 6) degrees of `SHAPE_WORDS`
@@ -81,6 +83,7 @@ class MapIndex:
         for name in ("centers", "lows", "highs", "sides_m", "seen_from"):
             freeze(self, name, np.float64, (count, 3))
         freeze(self, "bottom_m", np.float64, (count,))
+        freeze(self, "fixed", np.float64, (count,))
         freeze(self, "colors", np.float64, (count, len(COLOR_NAMES)))
         freeze(self, "shapes", np.float64, (count, len(SHAPE_WORDS)))
         freeze(self, "levels_m2", np.float64, (count, NUM_LEVELS))
@@ -116,6 +119,7 @@ def index_of(snapshot: MapSnapshot, config: MappingConfig) -> MapIndex:
         highs=highs,
         sides_m=sides_m,
         bottom_m=bottom_m,
+        fixed=np.array([item.fixture_probability for item in objects]),
         colors=np.array([name_shares(item.colors) for item in objects]).reshape(-1, len(COLOR_NAMES)),
         shapes=np.array(shapes).reshape(-1, len(SHAPE_WORDS)),
         levels_m2=np.array(levels).reshape(-1, NUM_LEVELS),

@@ -27,7 +27,7 @@ class Relation(StrEnum):
 class Quantity(StrEnum):
     """A comparable quantity in metres; `UNDERSIDE` is the height of an object's lowest point.
 
-    `SLENDERNESS` is a ratio: the height over the longer horizontal side.
+    `SLENDERNESS` is a ratio: the height over the longer horizontal side; `FIXED` is a probability.
     """
 
     SIZE = "longest side"
@@ -36,6 +36,7 @@ class Quantity(StrEnum):
     HEIGHT = "height"
     UNDERSIDE = "height above the floor"
     SLENDERNESS = "height over width"
+    FIXED = "probability of a fixture"
 
 
 class Use(StrEnum):

@@ -88,6 +88,7 @@ NOUNS: dict[str, tuple[Condition, ...]] = {
     **dict.fromkeys(("cylinder", "tube"), (HasShape(name="cylinder"),)),
     **dict.fromkeys(("ball", "sphere"), (HasShape(name="ball"),)),
     **dict.fromkeys(("container", "vessel"), (HasShape(name="hollow"),)),
+    "fixture": (_at_least("fixture", Quantity.FIXED, 0.25, 0.75),),
     "seat": (_SEAT,),
     "chair": (
         _SEAT,

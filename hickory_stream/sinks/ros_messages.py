@@ -37,7 +37,8 @@ _DEFINITIONS = {
 }
 _CUBE, _TEXT, _ADD, _DELETE_ALL = 1, 9, 0, 3
 _SURE_RGBA, _OBSERVED_RGBA = (0.2, 0.6, 0.9, 0.5), (0.95, 0.6, 0.1, 0.5)
-OBSERVED_ONLY, SURE = "observed_only", "objects"
+_FIXTURE_RGBA = (0.45, 0.5, 0.6, 0.5)
+OBSERVED_ONLY, SURE, FIXTURES = "observed_only", "objects", "fixtures"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -112,11 +113,11 @@ def grid_message(update: CostmapUpdate) -> tuple[str, bytes]:
 
 
 def detections_message(snapshot: MapSnapshot) -> bytes:
-    """Return the objects with id, upright box and pose; the class says whether layer 4 exists, the score is 1."""
+    """Return the objects with id, upright box and pose; the class is its kind, once layer 4 exists."""
     header = _header(snapshot.stamp_ns)
     found = []
     for tracked, obstacle, pose in _with_poses(snapshot):
-        kind = OBSERVED_ONLY if obstacle.is_observed_only else "object"
+        kind = OBSERVED_ONLY if obstacle.is_observed_only else str(tracked.kind)
         hypothesis = _new("vision_msgs/msg/ObjectHypothesis", class_id=kind, score=1.0)
         with_covariance = _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
         result = _new("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
@@ -130,7 +131,8 @@ def markers_message(snapshot: MapSnapshot) -> bytes:
     header = _header(snapshot.stamp_ns)
     markers = [_marker(header, SURE, 0, _CUBE, _DELETE_ALL)]
     for tracked, obstacle, pose in _with_poses(snapshot):
-        space, rgba = (OBSERVED_ONLY, _OBSERVED_RGBA) if obstacle.is_observed_only else (SURE, _SURE_RGBA)
+        space, rgba = (FIXTURES, _FIXTURE_RGBA) if tracked.is_fixture else (SURE, _SURE_RGBA)
+        space, rgba = (OBSERVED_ONLY, _OBSERVED_RGBA) if obstacle.is_observed_only else (space, rgba)
         size = 2 * tracked.box.half_extents_m
         cube = _marker(header, space, tracked.id, _CUBE, pose=pose, scale=size, rgba=rgba)
         above = tracked.box.center + np.array([0.0, 0.0, tracked.box.half_extents_m[2] + 0.1])

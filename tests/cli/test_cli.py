@@ -364,7 +364,7 @@ def test_an_exported_glb_is_y_up_with_seen_and_unseen_surface(made, tmp_path):
     document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
     assert all("_SEEN" in mesh["primitives"][0]["attributes"] for mesh in document["meshes"])
     saved = open_map(made.by_one)
-    shapes = {f"object-{t.id}": t.shape for t in saved.snapshot.objects if t.shape is not None}
+    shapes = {f"{t.kind}-{t.id}": t.shape for t in saved.snapshot.objects if t.shape is not None}
     assert set(scene.graph.nodes_geometry) == set(shapes)
     for name, shape in shapes.items():
         mesh = saved.mesh(shape)
@@ -383,7 +383,7 @@ def test_an_exported_glb_has_a_texture_on_every_object(made, tmp_path):
     saved = open_map(made.by_one)
     for tracked in saved.snapshot.objects:
         if tracked.shape is not None:
-            shown, mesh = scene.geometry[f"object-{tracked.id}"], saved.mesh(tracked.shape)
+            shown, mesh = scene.geometry[f"{tracked.kind}-{tracked.id}"], saved.mesh(tracked.shape)
             image = np.asarray(shown.visual.material.baseColorTexture)
             assert max(image.shape[:2]) <= 64
             # The image has the colours of the vertices, where they are seen, but for what is finer than a vertex.

@@ -78,7 +78,7 @@ def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map, expla
     middle = tracked.points_world[np.argmin(np.linalg.norm(tracked.points_world - tracked.box.center, axis=1))]
     told = explain.json(short_map, f"--point={','.join(f'{value:.4f}' for value in middle)}")
     assert told["objects"][0]["id"] == tracked.id
-    assert told["verdict"].startswith(f"in object #{tracked.id}; of ")
+    assert told["verdict"].startswith(f"in {tracked.kind} #{tracked.id}; of ")
     masks = [sighting for sighting in told["sightings"] if sighting["where"] == "mask"]
     assert len(masks) >= tracked.sightings // 2
     assert tracked.id in {sighting["track_id"] for sighting in masks}

@@ -12,7 +12,7 @@ from hickory_stream.events import Event, SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import Frame, Phase, Segmentation, TrackedObject
 from tests.mapping.mapping_fixtures import drive
-from tools.evaluation.oracle_ablation import RUNGS, Rung, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
+from tools.evaluation.oracle_ablation import Rung, TrueImages, TrueSegmenter, core_of, segmenter_of
 
 # Two boxes of one colour that touch, and a third one apart; ids in the truth are not those of the images of the twin.
 BOXES = (
@@ -135,11 +135,6 @@ def test_true_association_holds_where_things_pass_each_other(truth, frames):
 
 def _at(frame: Frame, world_from_camera: np.ndarray) -> Frame:
     return replace(frame, world_from_camera=world_from_camera)
-
-
-def test_the_rungs_below_structure_keep_the_rules_of_the_map():
-    config = MapperConfig().mapping
-    assert [mapping_of(rung, config) == config for rung in RUNGS] == [True, True, True, False, False]
 
 
 def test_a_frame_that_the_truth_does_not_have_is_refused(truth, tmp_path):

@@ -91,5 +91,5 @@ def test_what_a_keyframe_does_not_concern_would_not_have_changed(looks):
         everything, whole = mapped(looks)
     assert found == everything
     for a, b in zip(core.submaps, whole.submaps, strict=True):
-        for name in ("free", "hidden_free", "surface", "hits", "misses", "room"):
+        for name in ("free", "hidden_free", "surface", "hits", "misses"):
             assert np.array_equal(getattr(a.space, name), getattr(b.space, name)), (a.id, name)

@@ -35,7 +35,6 @@ from hickory_stream.mapping.entities.submaps import (
     travelled,
     with_keyframe,
     with_registration,
-    with_room,
     with_seen,
 )
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
@@ -127,7 +126,7 @@ def test_a_way_of_no_length_is_refused():
 _KEYS = st.lists(st.integers(0, 30), max_size=12).map(lambda keys: np.unique(np.int64(keys)))
 
 
-@given(st.lists(st.tuples(st.sampled_from(["seen", "went", "room"]), _KEYS, _KEYS), max_size=25))
+@given(st.lists(st.tuples(st.sampled_from(["seen", "went"]), _KEYS, _KEYS), max_size=25))
 @settings(deadline=None)
 def test_every_voxel_is_in_one_submap_and_none_is_lost(steps):
     submaps, place = first_submap(0.05), 0.0
@@ -136,29 +135,15 @@ def test_every_voxel_is_in_one_submap_and_none_is_lost(steps):
             surface = np.setdiff1d(free + 1, structure)
             seen = SpaceObservation(free_keys=free, structure_keys=structure, surface_keys=surface, floor_z_m=0.1)
             submaps = with_seen(submaps, seen)
-        elif kind == "went":
+        else:
             place += 1.0
             submaps = travelled(submaps, camera_at(place), 0, SubmapConfig(travel_m=1.5))
-        else:
-            submaps = with_room(submaps, free)
     judge, parts = as_record(submaps.space), [record_of(state).observed_space for state in submaps.states]
     for name in ("free", "structure"):
         together = np.concatenate([getattr(part, name) for part in parts])
         assert np.array_equal(np.sort(together), getattr(judge, name))
     owned = [np.union1d(state.space.free, state.space.surface) for state in submaps.states]
     assert len(np.unique(np.concatenate(owned))) == sum(map(len, owned))
-
-
-def test_a_submap_without_anything_of_the_room_stays_as_it_is():
-    here, there = np.int64([3, 4]), np.int64([20, 21])
-    submaps = with_seen(first_submap(0.05), space(free=here))
-    for x_m in (0.0, 2.0):
-        submaps = travelled(submaps, camera_at(x_m), 0, SubmapConfig(travel_m=1.5))
-    submaps = with_seen(submaps, space(free=there))
-    now = with_room(submaps, there)
-    assert now.states[0] is submaps.states[0]
-    assert now.states[1].space.room.tolist() == there.tolist()
-    assert with_room(now, there) is now
 
 
 def test_the_way_is_not_measured_across_a_jump_of_the_stamps():
@@ -199,24 +184,6 @@ def test_after_a_jump_an_unseen_object_is_not_looked_through():
     assert ids(*through) == []
     assert ids(jump, *through) == [1]
     assert ids(jump, at(4, 0.0, A), *(replace(f, frame_index=f.frame_index + 1) for f in through)) == []
-
-
-def test_a_wall_tracked_as_room_is_known_again_after_a_jump():
-    """A wall of 4 m was set aside; a piece of it that is seen later is the wall, and no object, with a jump or not."""
-    wall = box_surface((0.0, 1.0, 1.2), (4.0, 0.2, 2.4))
-    piece = box_surface((0.5, 1.0, 0.5), (0.8, 0.2, 0.8))
-
-    def room(*between: PoseJumped) -> list[int]:
-        core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
-        drive(core, [*(at(i, 0.0, wall) for i in range(4)), *between, *(at(4 + i, 0.0, piece) for i in range(4))])
-        assert core.snapshot().objects == ()
-        return [len(submap.observed_space.structure) for submap in core.snapshot().submaps]
-
-    (alone,) = room()
-    assert alone > 1000
-    before, after = room(PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP))
-    assert before > 1000
-    assert after == alone
 
 
 def test_the_space_of_a_closed_submap_stays():

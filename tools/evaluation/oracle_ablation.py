@@ -3,7 +3,6 @@
 # `association` by the true object without merges.
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,7 +12,6 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import Truth, frame_at, instances_of
 from hickory_stream.events import FrameObserved
-from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.association import Match
@@ -142,14 +140,7 @@ def segmenter_of(rung: Rung, images: TrueImages, config: MapperConfig) -> TrueSe
 
 def core_of(rung: Rung, images: TrueImages, config: MapperConfig) -> MapperCore:
     associator = TrueAssociation(images) if rung == "association" else None
-    return MapperCore(mapping_of(rung, config.mapping), associator)
-
-
-def mapping_of(rung: Rung, config: MappingConfig) -> MappingConfig:
-    """Return the map's configuration; with true structure, the rules that reclassify objects as structure are off."""
-    if rung not in ("structure", "association"):
-        return config
-    return replace(config, lifecycle=replace(config.lifecycle, finds_structure=False))
+    return MapperCore(config.mapping, associator)
 
 
 def _dense(ids: NDArray[np.int32]) -> NDArray[np.int32]:

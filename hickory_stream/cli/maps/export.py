@@ -184,7 +184,8 @@ def _scene(saved: SavedMap, options: argparse.Namespace, *, has_texture: bool) -
                 mesh, visual = textured.mesh, trimesh_visual(textured)
             shown = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
             shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
-            name = f"object-{tracked.id}"
+            # The page switches its meshes by name.
+            name = f"{'object' if options.format == 'html' else tracked.kind}-{tracked.id}"
             scene.add_geometry(shown, node_name=name, geom_name=name, transform=tracked.shape.world_from_object)
     return scene
 
@@ -251,7 +252,7 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     meshes = {tracked.id: saved.mesh(tracked.shape) for tracked in snapshot.objects if tracked.shape is not None}
     objects = [
         SimulatedObject(
-            name=f"object-{tracked.id}",
+            name=f"{tracked.kind}-{tracked.id}",
             mesh=meshes.get(tracked.id),
             texture=_texture_of(saved, tracked, options, meshes[tracked.id]) if tracked.id in meshes else None,
             world_from_object=tracked.box.world_from_box if tracked.shape is None else tracked.shape.world_from_object,

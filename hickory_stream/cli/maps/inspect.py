@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 
 _WORDS = """columns:
+  kind       object, or fixture: built in, attached, or too large to carry
   phase      tentative: a candidate; active: seen in the last seconds;
-             dormant, archived: seen earlier; room: a part of the room
+             dormant, archived: seen earlier
   sightings  keyframes that saw it
   layers     1 points, 2 mesh, 3 superquadrics, 4 superquadrics that contain
              the object; - is missing

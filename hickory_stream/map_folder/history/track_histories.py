@@ -50,7 +50,7 @@ class TrackHistory:
     born: Turn
     masks: list[Joined] = field(default_factory=list)
     turns: list[Turn] = field(default_factory=list)
-    #: Where it was set aside as part of the room, or became an object again.
+    #: Where it became a fixture, or an object again.
     changes: list[Turn] = field(default_factory=list)
     #: None for a track in the map.
     ending: Ending | None = None
@@ -110,7 +110,7 @@ class TrackHistories:
             history.ending = None
         elif decision.kind == "drop":
             history.ending = Ending(kind="dropped", frame=frame, text=decision.text, cause=decision.cause)
-        elif decision.kind == "room":
+        elif decision.kind in ("kind", "room"):
             history.changes.append(Turn(frame=frame, text=decision.text))
         elif decision.kind in ("phase", "shape", "trim"):
             history.turns.append(Turn(frame=frame, text=decision.text))

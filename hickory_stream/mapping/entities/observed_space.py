@@ -15,7 +15,6 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import check_array
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
-from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
     cells_of_keys,
     centers_of_keys,
@@ -55,8 +54,6 @@ def is_wall_column(num_structure: NDArray[np.int64], voxel_m: float) -> NDArray[
 
 
 _SURE_HITS = 2
-# The value of `structure_hits` in voxels of tracks that are part of the room: more than any count of keyframes.
-_HELD = 255
 # When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
 _MOST_VOTES = 240
 # A surface that lies this much lower is not a step of the floor: the presumed floor was a table, unless it is as large
@@ -65,23 +62,6 @@ _NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
 _STOREY_M = 2.4
 # The range of voxel indices.
 _FAR = 1 << 20
-# A flat object no thicker, but larger than this is a part of the wall around it if this share of its border is in a
-# wall.
-_FLUSH_THICKNESS_M = 0.12
-_FLUSH_SIZE_M = 0.2
-_FLUSH_BORDER_SHARE = 0.25
-# Structure counts from half of this to this beyond the border: nearer, it may be a wall that meets the object.
-_FLUSH_REACH_M = 0.2
-# The middle of the structure may be off the middle of the object by this share of half its thickness.
-_FLUSH_OFFSET = 0.8
-# Structure up to this height above the floor does not count, since every object stands on the floor.
-_FLUSH_FOOT_M = 0.1
-# An upright strip that is thinner and taller than this, with structure this near along this share of its height, is
-# the edge of a wall or the frame of a door.
-_EDGE_WIDTH_M = 0.1
-_EDGE_HEIGHT_M = 0.38
-_EDGE_REACH_M = 0.1
-_EDGE_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,13 +117,11 @@ class SpaceState(GivesUpArrays):
     hits: NDArray[np.uint8]
     #: keyframes that showed the voxel as something else
     misses: NDArray[np.uint8]
-    #: voxels of tracks of the room: structure for queries, but no votes
-    room: NDArray[np.int64]
     floor_z_m: float | None = None
 
     def __post_init__(self) -> None:
         # Looked at, not copied: a keyframe makes many of them. Kernels walk the votes beside the surface.
-        for name in ("free", "hidden_free", "surface", "room"):
+        for name in ("free", "hidden_free", "surface"):
             check_array(self, name, np.int64, (None,))
         for name in ("hits", "misses"):
             check_array(self, name, np.uint8, (len(self.surface),))
@@ -161,7 +139,7 @@ def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray
 def empty_space(voxel_m: float) -> SpaceState:
     """Return an empty observed space."""
     none, votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
-    return SpaceState(voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=votes, misses=votes, room=none)
+    return SpaceState(voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=votes, misses=votes)
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
@@ -177,7 +155,7 @@ def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> S
     surface, hits, misses, change = _voted(state.surface, state.hits, state.misses, voters, seen.structure_keys)
     gained, lost = voters[change > 0], voters[change < 0]
     state = replace(state, surface=surface, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
-    is_hidden = _votes_at(state, seen.free_keys) >= _SURE_HITS
+    is_hidden = structure_hits(state, seen.free_keys) >= _SURE_HITS
     # Voxels that have just become structure are no longer free, and rays that graze structure do not make it free.
     bared = lost[contains(state.hidden_free, lost)]
     hidden = union(gained[contains(state.free, gained)], seen.free_keys[is_hidden])
@@ -209,7 +187,6 @@ def joined(spaces: Sequence[SpaceState]) -> SpaceState:
         surface=keys,
         hits=hits,
         misses=misses,
-        room=sorted_unique(np.concatenate([space.room for space in spaces])),
         floor_z_m=spaces[-1].floor_z_m,
     )
 
@@ -218,7 +195,7 @@ def extent(state: SpaceState) -> Window | None:
     """Return the least window that holds a space, None if it is empty; cached, since old spaces do not change."""
     if state not in _EXTENTS:
         with read_briefly(state):
-            _EXTENTS[state] = window_of(state.free, state.surface, state.room)
+            _EXTENTS[state] = window_of(state.free, state.surface)
     return _EXTENTS[state]
 
 
@@ -235,7 +212,6 @@ def cut(state: SpaceState, window: Window) -> SpaceState:
         surface=state.surface[voters],
         hits=state.hits[voters],
         misses=state.misses[voters],
-        room=state.room[window.part_of(state.room)],
     )
 
 
@@ -340,17 +316,8 @@ def _voted(surface, hits, misses, voters, structure):
     return keys[:n].copy(), all_hits[:n].copy(), all_misses[:n].copy(), change
 
 
-def with_room(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
-    """Return the space whose voxels of the room's tracks are exactly these sorted ones."""
-    return state if np.array_equal(state.room, keys) else replace(state, room=keys)
-
-
 def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return (N,) the keyframes that saw each voxel as structure; 0 if misses outnumber hits, 255 in the room."""
-    return np.where(contains(state.room, keys), np.uint8(_HELD), _votes_at(state, keys))
-
-
-def _votes_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return (N,) the keyframes that saw each voxel as structure; 0 if misses outnumber hits."""
     sure = np.flatnonzero(state.hits > state.misses)
     surface, out = state.surface[sure], np.zeros(len(keys), dtype=np.uint8)
     found = np.flatnonzero(contains(surface, keys))
@@ -364,40 +331,6 @@ def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: floa
     return np.count_nonzero(contains(keys, keys_of_points(sample, voxel_m))) / len(sample)
 
 
-def is_flush(state: SpaceState, box: OrientedBox) -> bool:
-    """Return whether a flat object is coplanar with structure around it: a part of the same wall."""
-    half = box.half_extents_m
-    thin = int(np.argmin(half))
-    wide = np.delete(half, thin)
-    if 2 * half[thin] > _FLUSH_THICKNESS_M or 2 * wide.min() < _FLUSH_SIZE_M:
-        return False
-    centers = _structure_around(state, box, _FLUSH_REACH_M)
-    if state.floor_z_m is not None:
-        centers = centers[centers[:, 2] > state.floor_z_m + _FLUSH_FOOT_M]
-    local = apply(invert(box.world_from_box), centers)
-    offset, in_plane = local[:, thin], np.delete(local, thin, axis=1)
-    beyond = (np.abs(in_plane) - wide).max(axis=1)
-    is_beside = (beyond > _FLUSH_REACH_M / 2) & (beyond < _FLUSH_REACH_M)
-    around = is_beside & (np.abs(offset) < half[thin] + state.voxel_m / 2)
-    if not around.any() or abs(float(np.median(offset[around]))) > _FLUSH_OFFSET * half[thin] + state.voxel_m / 4:
-        return False
-    # Each cell of the border counts once, however many structure voxels lie behind it.
-    border = np.unique(np.floor(np.clip(in_plane[around], -wide, wide) / state.voxel_m), axis=0)
-    return len(border) * state.voxel_m > _FLUSH_BORDER_SHARE * 4 * float(wide.sum())
-
-
-def is_edge(state: SpaceState, box: OrientedBox) -> bool:
-    """Return whether an object is a slender upright strip along structure: the edge of a wall, the frame of a door."""
-    *widths, height = 2 * box.half_extents_m
-    if max(widths) > _EDGE_WIDTH_M or height < _EDGE_HEIGHT_M:
-        return False
-    steps = np.linspace(-height / 2, height / 2, int(height / state.voxel_m) + 1)
-    axis = box.center + steps[:, None] * np.array([0.0, 0.0, 1.0])
-    centers = _structure_around(state, box, _EDGE_REACH_M)
-    distances_m = np.linalg.norm(axis[:, None] - centers[None], axis=2).min(axis=1, initial=np.inf)
-    return float((distances_m < _EDGE_REACH_M).mean()) > _EDGE_SHARE
-
-
 def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float32], reach_m: float) -> bool:
     """Return whether structure lies within `reach_m` of at least a tenth of an object's (N, 3) points."""
     centers = _structure_around(state, box, reach_m)
@@ -408,7 +341,6 @@ def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float
 
 
 def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:
-    # Only votes of keyframes: a track that was set aside as part of the room must not pull in its neighbour.
     x = box.corners_world()[:, 0]
     low = int(np.floor((x.min() - reach_m) / state.voxel_m))
     high = int(np.floor((x.max() + reach_m) / state.voxel_m)) + 1
@@ -424,19 +356,15 @@ def _columns_between(keys: NDArray[np.int64], low: int, high: int) -> slice:
 
 
 def as_record(state: SpaceState) -> ObservedSpace:
-    """Return the public record: structure with the tracks of the room, and free space outside it."""
+    """Return the public record."""
     return ObservedSpace(
-        voxel_m=state.voxel_m,
-        free=difference(state.free, state.room) if len(state.room) else state.free,
-        structure=structure_of(state),
-        floor_z_m=state.floor_z_m,
+        voxel_m=state.voxel_m, free=state.free, structure=structure_of(state), floor_z_m=state.floor_z_m
     )
 
 
 def structure_of(state: SpaceState) -> NDArray[np.int64]:
-    """Return the sorted voxels of structure, with the tracks of the room."""
-    structure = state.surface[state.is_structure]
-    return union(structure, state.room) if len(state.room) else structure
+    """Return the sorted voxels of structure."""
+    return state.surface[state.is_structure]
 
 
 def known_space(record: ObservedSpace) -> SpaceState:

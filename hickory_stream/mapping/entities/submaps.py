@@ -21,7 +21,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.lazy_arrays import Keep, compress, give_up, in_memory, read_briefly
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, turned_directions
-from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
+from hickory_stream.geometry.voxels import contains, difference, places, union
 from hickory_stream.mapping.entities import observed_space
 from hickory_stream.mapping.entities.observed_space import (
     SpaceState,
@@ -297,44 +297,6 @@ def with_seen(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) 
     return _with_open(submaps, seen=replace(own, floor_z_m=space.floor_z_m))
 
 
-def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
-    """Return the submaps with these sorted voxels as the tracks of the room (since the last jump)."""
-    if submaps.window is None and np.array_equal(submaps.space.room, keys):
-        return submaps
-    shown = keys if submaps.window is None else keys[submaps.window.part_of(keys)]
-    space = observed_space.with_room(submaps.space, shown)
-    if submaps.first == submaps.open_id:
-        last = submaps.states[-1]
-        own = space if last.space is last.seen else observed_space.with_room(last.space, keys)
-        return _alone(submaps, space, own)
-    owners, changed = _owners(submaps, keys), {}
-    for state in submaps.states[submaps.first :]:
-        own = observed_space.with_room(state.space, keys[owners == state.id])
-        if own is not state.space:
-            changed[state.id] = own
-    return _with_spaces(submaps, space, changed)
-
-
-def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np.int64]) -> Submaps:
-    """Return the submaps with sorted voxels `gone` taken from and `new` added to the room, in the window or not."""
-    if len(gone) + len(new) == 0:
-        return submaps
-    window = submaps.window
-    shown_gone, shown_new = (keys if window is None else keys[window.part_of(keys)] for keys in (gone, new))
-    space = observed_space.with_room(submaps.space, exchanged(submaps.space.room, shown_gone, shown_new))
-    if submaps.first == submaps.open_id:
-        last = submaps.states[-1]
-        own = space if last.space is last.seen else observed_space.with_room(last.space, space.room)
-        return _alone(submaps, space, own)
-    gone_of, new_of = _by_owner(submaps, gone), _by_owner(submaps, new)
-    changed = {}
-    for i in sorted(gone_of.keys() | new_of.keys()):
-        own = submaps.states[i].space
-        room = exchanged(own.room, gone_of.get(i, _NO_KEYS), new_of.get(i, _NO_KEYS))
-        changed[i] = observed_space.with_room(own, room)
-    return _with_spaces(submaps, space, changed)
-
-
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
     """Return the submaps at corrected poses; raises `ValueError` for an unknown id."""
     # The submaps that are rigid with the open one now make up the judged space.
@@ -400,17 +362,12 @@ def compress_unused(submaps: Submaps, keep: Keep) -> None:
         reach = extent(state.space)
         if state.id < submaps.first or (window is not None and reach is not None and not window.meets(reach)):
             for space in (state.space, state.seen):
-                compress(space, "free", "hidden_free", "surface", "hits", "misses", "room", keep=keep)
+                compress(space, "free", "hidden_free", "surface", "hits", "misses", keep=keep)
             compress(state.surface, "keys", "points", "normals", "hits", keep=keep)
 
 
-def own_space(state: SubmapState) -> SpaceState:
-    """Return the space that was seen in a submap itself, with its tracks of the room."""
-    return observed_space.with_room(state.seen, state.space.room)
-
-
 def _shown_space(state: SubmapState) -> SpaceState:
-    return state.space if state.outdated is None else own_space(state)
+    return state.space if state.outdated is None else state.seen
 
 
 def record_of(state: SubmapState) -> Submap:
@@ -501,7 +458,7 @@ def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, Spac
 
 
 def _voxels(space: SpaceState) -> NDArray[np.int64]:
-    return union(union(space.free, space.surface), space.room)
+    return union(space.free, space.surface)
 
 
 def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:

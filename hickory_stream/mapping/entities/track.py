@@ -21,7 +21,7 @@ from hickory_stream.geometry.voxels import without_outliers
 from hickory_stream.mapping.entities.cloud import Cloud, array_of, fuse, solid_part
 from hickory_stream.mapping.entities.existence import Existence, no_evidence
 from hickory_stream.mapping.entities.views import better
-from hickory_stream.records import ObjectShape, Observation, Phase, TrackedObject, View
+from hickory_stream.records import ObjectKind, ObjectShape, Observation, Phase, TrackedObject, View
 
 _BOX_POINTS = 10_000
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
@@ -80,8 +80,11 @@ class Track:
     sketch: Superquadrics | None = None
     sketched_points: int = 0
     existence: Existence = field(default_factory=no_evidence)
-    #: its evidence when it was last set aside as part of the room
-    aside_evidence: float = 0.0
+    kind: ObjectKind = ObjectKind.OBJECT
+    fixture_probability: float = 0.0
+    #: numbers of its solid points and of its sightings when its kind was judged last
+    judged_points: int = 0
+    judged_sightings: int = 0
 
     @property
     def names_of_views(self) -> tuple[str, ...]:
@@ -170,8 +173,8 @@ def without_views(track: Track, names: Collection[str]) -> Track:
 
 
 def is_object(track: Track) -> bool:
-    """Return whether a track is an object: confirmed, and not part of the room."""
-    return track.phase not in (Phase.TENTATIVE, Phase.ROOM)
+    """Return whether a track is confirmed: an object, or a fixture."""
+    return track.phase is not Phase.TENTATIVE
 
 
 def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: float = 0.03) -> list[Track]:
@@ -227,6 +230,8 @@ def as_object(track: Track, voxel_m: float) -> TrackedObject:
         shape=track.shape,
         merged_ids=track.merged_ids,
         sketch=track.sketch if track.shape is None else None,
+        kind=track.kind,
+        fixture_probability=track.fixture_probability,
     )
     own_m = None if flush is None else voxel_m
     give_up(item, lambda name: _shown(solid, name, own_m), "points_world", "colors", of=(solid,))

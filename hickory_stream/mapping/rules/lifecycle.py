@@ -32,12 +32,6 @@ class LifecycleConfig(Ranged):
     archive_s: float = number(60.0, 0, 1e9, "s")
     #: A track is dropped once this many keyframes have seen through its place since it was last seen.
     phantom_frames: int = number(4, 1, 1_000_000, "keyframes")
-    #: A track whose two longest sides exceed this is structure.
-    structure_m: float = number(2.6, 0, 1000, "m")
-    #: Evidence that a track must gain after it was set aside as part of the room before it can be an object again.
-    revise_evidence: float = number(2.0, 0, 1000, "sightings")
-    #: Whether tracks are compared with the room; if not, only the segmentation rejects structure.
-    finds_structure: bool = True
 
 
 class LifeEvent(StrEnum):
@@ -55,9 +49,6 @@ class LifeEvent(StrEnum):
 class Guard(StrEnum):
     """A condition on a track."""
 
-    IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
-    IN_ROOM = "more than half of it lies on tracks that are part of the room"
-    REVISED = "seen again with evidence of `revise_evidence`, and by its shape no longer part of the room"
     SEEN_THROUGH = "not observed, and the keyframe observed free space at its position"
     PHANTOM = "`phantom_frames` keyframes observed free space at its position"
     SURE = "its evidence reaches `confirm_sightings`"
@@ -68,13 +59,11 @@ class Guard(StrEnum):
     KNOWN_HERE = "seen since the last pose jump"
     UNSUPPORTED = "nothing supports it, and it touches another track"
     OTHER_SEEN_MORE = "the other was seen in more keyframes"
-    OTHER_MAYBE_OBJECT = "the other is not part of the room"
 
 
 class TrackEffect(StrEnum):
     """What else is done when a row applies."""
 
-    SET_ASIDE = "it is tracked further, but is no object; its shape job is cancelled"
     DOUBT = "its evidence decreases"
     TRIM = "its points in a wall are removed"
     DROP = "it is removed, its shape job cancelled"
@@ -95,7 +84,6 @@ class Other(StrEnum):
 
 
 CONFIRMED = (Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED)
-MAYBE_OBJECT = (Phase.TENTATIVE, *CONFIRMED)
 ANY = tuple(Phase)
 
 
@@ -114,16 +102,12 @@ class Transition:
 
 
 def _life_cycle() -> tuple[Transition, ...]:
-    e, g, room, tentative, active = LifeEvent, Guard, (Phase.ROOM,), (Phase.TENTATIVE,), (Phase.ACTIVE,)
+    e, g, tentative, active = LifeEvent, Guard, (Phase.TENTATIVE,), (Phase.ACTIVE,)
     drop, merge, trim = (TrackEffect.DROP,), (TrackEffect.MERGE,), (TrackEffect.TRIM,)
     return (
         Transition(None, e.BORN, (), Phase.TENTATIVE),
         Transition(None, e.SPLIT_OFF, (), Phase.TENTATIVE),
-        Transition(MAYBE_OBJECT, e.TAKES_IN, (g.OTHER_MAYBE_OBJECT, g.OTHER_SEEN_MORE), Other.ITS_PHASE),
-        Transition(room, e.TAKES_IN, (g.OTHER_MAYBE_OBJECT,), Other.ITS_PHASE),
-        Transition(MAYBE_OBJECT, e.JUDGED, (g.KNOWN_HERE, g.IS_ROOM), Phase.ROOM, (TrackEffect.SET_ASIDE,)),
-        Transition(MAYBE_OBJECT, e.JUDGED, (g.KNOWN_HERE, g.IN_ROOM), End.DROPPED, drop, "in structure"),
-        Transition(room, e.JUDGED, (g.KNOWN_HERE, g.REVISED), Phase.TENTATIVE),
+        Transition(ANY, e.TAKES_IN, (g.OTHER_SEEN_MORE,), Other.ITS_PHASE),
         Transition(ANY, e.JUDGED, (g.KNOWN_HERE, g.SEEN_THROUGH), None, (TrackEffect.DOUBT,)),
         Transition(ANY, e.AGED, (g.PHANTOM,), End.DROPPED, drop, "looked through"),
         Transition(tentative, e.AGED, (g.SURE,), Phase.ACTIVE),
@@ -134,8 +118,7 @@ def _life_cycle() -> tuple[Transition, ...]:
         Transition(active, e.AGED, (g.UNSEEN, g.KNOWN_HERE), Phase.DORMANT, trim),
         Transition(CONFIRMED, e.AGED, (g.UNSEEN,), Phase.DORMANT),
         Transition(CONFIRMED, e.AGED, (), Phase.ACTIVE),
-        Transition(MAYBE_OBJECT, e.SPACE_FORGOTTEN, (g.KNOWN_HERE,), None, trim),
-        Transition(room, e.SOURCE_ENDED, (), End.DROPPED, drop, "structure"),
+        Transition(ANY, e.SPACE_FORGOTTEN, (g.KNOWN_HERE,), None, trim),
         Transition(tentative, e.SOURCE_ENDED, (), End.DROPPED, drop, "never confirmed"),
         Transition(CONFIRMED, e.SOURCE_ENDED, (g.KNOWN_HERE, g.UNSUPPORTED), End.MERGED, merge),
     )

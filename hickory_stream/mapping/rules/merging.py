@@ -194,6 +194,7 @@ def merge(kept: Track, gone: Track, voxel_m: float) -> Track:
     return replace(
         with_better_views(merged, gone),
         phase=_phase_after(kept, gone),
+        judged_points=0,
         first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
         last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),
         seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
@@ -221,8 +222,7 @@ def with_better_views(track: Track, other: Track) -> Track:
 
 
 def _phase_after(kept: Track, gone: Track) -> Phase:
-    is_more, is_object = gone.sightings > kept.sightings, gone.phase is not Phase.ROOM
-    holds = {Guard.OTHER_SEEN_MORE: is_more, Guard.OTHER_MAYBE_OBJECT: is_object}
+    holds = {Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings}
     return kept.phase if transition(kept.phase, LifeEvent.TAKES_IN, holds.__getitem__) is None else gone.phase
 
 
@@ -230,8 +230,8 @@ def why_one(
     a: Track, b: Track, near: Sequence[Track], book: VoteBook, graph: SupportGraph, config: MergeConfig
 ) -> str | None:
     """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
-    if (a.phase is Phase.ROOM) is not (b.phase is Phase.ROOM):
-        return _why_no_room(*((a, b) if a.phase is Phase.ROOM else (b, a)))
+    if a.kind is not b.kind:
+        return _why_one_kind(a, b)
     is_known = min(a.sightings, b.sightings) >= config.min_votes
     # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
     if is_known and not (a.is_promoted or b.is_promoted) and (part := graph.foot_of(a, b)) is not None:
@@ -254,11 +254,11 @@ def why_one(
     return None
 
 
-def _why_no_room(room: Track, thing: Track) -> str | None:
-    # The room's track is a side of the object, e.g. the front of a wardrobe; the object must be larger, since a picture
-    # does not own the wall behind it.
-    if len(room.solid.keys) > len(thing.solid.keys) or intersection_volume_m3(room.box, thing.box, 0.03) <= 0.0:
+def _why_one_kind(a: Track, b: Track) -> str | None:
+    # An object and a fixture are one if the smaller is a side of the larger, e.g. the front of a wardrobe: frames that
+    # see a picture and its wall as one do not make them so.
+    small, large = (a, b) if len(a.solid.keys) <= len(b.solid.keys) else (b, a)
+    if intersection_volume_m3(small.box, large.box, 0.03) <= 0.0:
         return None
-    share = share_near(room.solid.keys, thing.solid)
-    reason = f"{share:.0%} of it, which was taken for a part of the room, lies on this larger thing"
-    return None if share < SURE_SHARE else reason
+    share = share_near(small.solid.keys, large.solid)
+    return None if share < SURE_SHARE else f"{share:.0%} of the smaller, {small.kind}, lies on the larger, {large.kind}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 from itertools import combinations
-from weakref import WeakKeyDictionary, ref
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,17 +90,16 @@ class _OwnSpaces:
 
     def of(self, submap_id: int) -> SpaceState:
         if submap_id not in self._spaces:
-            state = self._states[submap_id]
-            with read_briefly(state.seen, state.space):
-                self._spaces[submap_id] = replace(state.seen, room=state.space.room)
+            with read_briefly(self._states[submap_id].seen):
+                self._spaces[submap_id] = replace(self._states[submap_id].seen)
             if len(self._spaces) > _MOST_SPACES:
                 self._spaces.popitem(last=False)
         self._spaces.move_to_end(submap_id)
         return self._spaces[submap_id]
 
 
-def _bounds_of(space: SpaceState, *more: NDArray[np.int64]) -> _Bounds | None:
-    parts = [bounds_of_keys(keys) for keys in (space.free, space.surface, space.room, *more) if len(keys)]
+def _bounds_of(space: SpaceState) -> _Bounds | None:
+    parts = [bounds_of_keys(keys) for keys in (space.free, space.surface) if len(keys)]
     if not parts:
         return None
     low, high = np.min([low for low, _ in parts], axis=0), np.max([high for _, high in parts], axis=0)
@@ -108,14 +107,13 @@ def _bounds_of(space: SpaceState, *more: NDArray[np.int64]) -> _Bounds | None:
 
 
 def _reach_of(state: SubmapState) -> _Bounds | None:
-    known = _REACH.get(state.seen)
-    if known is None or known[0]() is not state.space:
-        with read_briefly(state.seen, state.space):
-            _REACH[state.seen] = known = ref(state.space), _bounds_of(state.seen, state.space.room)
-    return known[1]
+    if state.seen not in _REACH:
+        with read_briefly(state.seen):
+            _REACH[state.seen] = _bounds_of(state.seen)
+    return _REACH[state.seen]
 
 
-_REACH: WeakKeyDictionary[SpaceState, tuple[ref[SpaceState], _Bounds | None]] = WeakKeyDictionary()
+_REACH: WeakKeyDictionary[SpaceState, _Bounds | None] = WeakKeyDictionary()
 
 
 def _turned(bounds: _Bounds, there_from_here: NDArray[np.float64]) -> _Bounds:

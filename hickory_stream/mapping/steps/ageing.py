@@ -22,11 +22,12 @@ from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_k
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
 from hickory_stream.mapping.entities.existence import with_evidence_against
-from hickory_stream.mapping.entities.observed_space import SpaceState, share_in, window_of
+from hickory_stream.mapping.entities.observed_space import SpaceState, window_of
 from hickory_stream.mapping.entities.submaps import space_around
 from hickory_stream.mapping.entities.track import Track, is_object, sketched, with_cloud
 from hickory_stream.mapping.entities.track_table import REACH_M, Mark
 from hickory_stream.mapping.map_state import MapState
+from hickory_stream.mapping.rules.fixtures import judged
 from hickory_stream.mapping.rules.lifecycle import (
     Guard,
     LifecycleConfig,
@@ -36,14 +37,14 @@ from hickory_stream.mapping.rules.lifecycle import (
     is_sure,
     transition,
 )
-from hickory_stream.mapping.rules.structure_checks import RESTING_S, is_seen_through, points_in_wall, why_structure
+from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall
 from hickory_stream.mapping.rules.support_graph import ATTACH_M
-from hickory_stream.mapping.steps.endings import cancelled, drop, unite
+from hickory_stream.mapping.steps.endings import drop, unite
 from hickory_stream.records import ObjectShape, Phase
 
 _ROUNDING_NS = 2
-# A track with more than this share of its points on tracks that are part of the room is itself part of the room.
-_STRUCTURE_SHARE = 0.5
+# The kind of a track is judged again when its points or sightings have changed by this share, and at the end.
+_JUDGED_GROWTH = 0.2
 # A generated shape of which a keyframe sees this share to be free is renewed, if views have come since its request.
 _REFUTED_SHARE = 0.1
 
@@ -87,7 +88,7 @@ class Concerned:
 
 def _timed_out(state: MapState, config: LifecycleConfig) -> Iterator[int]:
     # The tracks that were not seen for one of the configured times, since the last keyframe's judgement.
-    for limit_s in (RESTING_S, config.tentative_s, config.dormant_s, config.archive_s):
+    for limit_s in (config.tentative_s, config.dormant_s, config.archive_s):
         limit_ns = int(limit_s * 1e9)
         after_ns, until_ns = state.judged_ns - limit_ns - _ROUNDING_NS, state.clock_ns - limit_ns + _ROUNDING_NS
         yield from state.tracks.last_seen(after_ns, until_ns)
@@ -147,20 +148,14 @@ def _invented_points(shape: ObjectShape) -> NDArray[np.float32]:
 def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Age the tracks that a keyframe concerns; `merges`: an unsupported track is merged into its neighbour."""
     effects: list[Effect] = []
-    keep_room(state)  # tracks may have been merged
     for track_id in Concerned(state, event, config.lifecycle):
         case = TrackTransition(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
         effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
         if track_id in state.tracks:
+            case.judge(_JUDGED_GROWTH)
             track = sketched(state.tracks[track_id])
             state.tracks[track_id] = _with_shape_checked(state, track, event.space.free_keys, config)
-    keep_room(state)
     return effects
-
-
-def keep_room(state: MapState) -> None:
-    """Update the voxels of the room's tracks in the observed space."""
-    state.submaps = state.derived.room.kept(state.submaps, state.tracks)
 
 
 def settle(state: MapState, config: MappingConfig) -> None:
@@ -178,7 +173,11 @@ def _happens_to_all(state: MapState, event: LifeEvent, config: MappingConfig, *,
     effects: list[Effect] = []
     for track_id in sorted(state.tracks):
         was_packed = track_id in state.tracks and is_packed(state.tracks[track_id].cloud)
-        effects += TrackTransition(state, track_id, config, merges=merges).happens(event)
+        case = TrackTransition(state, track_id, config, merges=merges)
+        if event is LifeEvent.SOURCE_ENDED:
+            # Its surroundings may have changed since its points have.
+            case.judge()
+        effects += case.happens(event)
         if was_packed and (track := state.tracks.get(track_id)) is not None:
             pack_part(track.solid, track.cloud, state.derived.warm.keep)
     return effects
@@ -217,19 +216,21 @@ class TrackTransition:
         done = [effect for track_effect in row.effects for effect in EFFECTS[track_effect](self, row)]
         if isinstance(row.to, Phase) and row.to is not self.track.phase:
             track = self.track
-            after = f"after {track.sightings} sightings"
-            if row.to is Phase.ROOM:
-                text = f"set aside as part of the room {after}: {self.why_structure}"
-            elif track.phase is Phase.ROOM:
-                text = f"an object after all, {after}: by what was seen since it is no part of the room"
-            else:
-                text = f"{track.phase} -> {row.to} {after}"
-            is_room = Phase.ROOM in (track.phase, row.to)
-            self.state.decide("room" if is_room else "phase", track.id, text)
+            self.state.decide("phase", track.id, f"{track.phase} -> {row.to} after {track.sightings} sightings")
             self.change(replace(track, phase=row.to))
-            if is_room:
-                keep_room(self.state)
         return done
+
+    def judge(self, growth: float = 0.0) -> None:
+        """Judge whether the track is an object or a fixture, if it has changed by more than a share since."""
+        track = self.track
+        has_grown = abs(len(track.solid) - track.judged_points) > growth * track.judged_points
+        was_seen = track.sightings - track.judged_sightings > growth * track.judged_sightings
+        if not self.state.is_judged(track) or not (has_grown or was_seen or growth == 0):
+            return
+        now, why = judged(track, self.space)
+        if now.kind is not track.kind:
+            self.state.decide("kind", track.id, f"{now.kind} after {track.sightings} sightings: {why}")
+        self.change(now)
 
     def change(self, track: Track) -> None:
         """Replace the track by a new version of it."""
@@ -238,11 +239,6 @@ class TrackTransition:
     def is_unseen_for(self, limit_s: float) -> bool:
         """Return whether the track was not seen for longer than this."""
         return (self.state.clock_ns - self.track.seen_clock_ns) / 1e9 > limit_s
-
-    @cached_property
-    def why_structure(self) -> str | None:
-        """Why the track is structure; None if it may be an object."""
-        return why_structure(self.track, self.space, self.state.clock_ns, self.config)
 
     @cached_property
     def space(self) -> SpaceState:
@@ -255,32 +251,16 @@ class TrackTransition:
         if not self._merges:
             return None
         beside = self.state.tracks.touching(self.track.bounds, ATTACH_M)
-        others = (o for o in beside if is_object(o) and self.state.is_judged(o))
+        # A fixture hangs from the room; and what a piece of a wall seems to hold hangs from that.
+        others = (o for o in beside if is_object(o) and o.kind is self.track.kind and self.state.is_judged(o))
         support = self.state.support_graph(self.space).hangs_from(self.track, others)
         return None if support is None else support.by
-
-    def is_in_room(self) -> bool:
-        """Return whether most of the track lies on tracks of the room."""
-        share = share_in(self.space.room, self.track.solid.points, self.space.voxel_m)
-        return share > _STRUCTURE_SHARE
-
-    def is_revised(self) -> bool:
-        """Return whether the track, set aside, has gained enough evidence since and is no structure now."""
-        seen_since = self.track.existence.evidence - self.track.aside_evidence
-        return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
 
     def is_seen_through(self) -> bool:
         """Return whether the keyframe did not observe the track, but free space at its position."""
         if self.track.seen_clock_ns == self.state.clock_ns or self._free_keys is None:
             return False
         return is_seen_through(self.track, self._free_keys, self.config)
-
-
-def _set_aside(case: TrackTransition, _: Transition) -> list[Effect]:
-    track = case.track
-    shape_state = replace(track.shape_state, open_ticket=None)
-    case.change(replace(track, shape_state=shape_state, aside_evidence=track.existence.evidence))
-    return cancelled(track)
 
 
 def _doubt(case: TrackTransition, _: Transition) -> list[Effect]:
@@ -290,8 +270,6 @@ def _doubt(case: TrackTransition, _: Transition) -> list[Effect]:
 
 
 def _trim(case: TrackTransition, _: Transition) -> list[Effect]:
-    if not case.config.lifecycle.finds_structure:
-        return []
     track = case.track
     # A few of its points may lie further away than it reaches without them.
     space = space_around(case.state.submaps, bounds_of(track.cloud.points), REACH_M)
@@ -305,8 +283,7 @@ def _trim(case: TrackTransition, _: Transition) -> list[Effect]:
 
 def _drop(case: TrackTransition, row: Transition) -> list[Effect]:
     assert row.cause is not None
-    reasons = {"structure": case.why_structure, "in structure": "it lies on what is part of the room"}
-    return drop(case.state, case.track, row.cause, reasons.get(row.cause))
+    return drop(case.state, case.track, row.cause)
 
 
 def _merge(case: TrackTransition, _: Transition) -> list[Effect]:
@@ -317,9 +294,6 @@ def _merge(case: TrackTransition, _: Transition) -> list[Effect]:
 
 # Guards on two tracks that are merged are tested in `rules.merging`.
 GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
-    Guard.IS_ROOM: lambda case: case.why_structure is not None,
-    Guard.IN_ROOM: TrackTransition.is_in_room,
-    Guard.REVISED: TrackTransition.is_revised,
     Guard.SEEN_THROUGH: TrackTransition.is_seen_through,
     Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
     Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
@@ -332,7 +306,6 @@ GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
 }
 
 EFFECTS: dict[TrackEffect, Callable[[TrackTransition, Transition], list[Effect]]] = {
-    TrackEffect.SET_ASIDE: _set_aside,
     TrackEffect.DOUBT: _doubt,
     TrackEffect.TRIM: _trim,
     TrackEffect.DROP: _drop,

@@ -13,7 +13,7 @@ from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.merge_history import after_merge, after_union, tracks_in
 from hickory_stream.mapping.rules.merging import merge
 from hickory_stream.mapping.rules.splitting import reassigned
-from hickory_stream.records import DropCause, Phase
+from hickory_stream.records import DropCause
 
 
 def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
@@ -31,14 +31,12 @@ def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: Mapp
     """Merge a track into another one of the same frame, with its points, views, votes and candidates."""
     tracks = state.tracks if kept_id in state.tracks else state.elsewhere
     kept, gone = tracks[kept_id], tracks.pop(gone_id)
-    tracks[kept_id] = merged = merge(kept, gone, config.voxels.object_m)
+    tracks[kept_id] = merge(kept, gone, config.voxels.object_m)
     state.votes = state.votes.merged(kept_id, gone_id)
     state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
     state.absorbed = after_merge(state.absorbed, kept_id, gone)
     state.joins = after_union(state.joins, kept_id, gone_id)
     state.decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
-    if kept.phase is Phase.ROOM and merged.phase is not Phase.ROOM:
-        state.decide("room", kept_id, f"an object after all: it is a side of #{gone_id}, which is larger")
     return cancelled(gone)
 
 

@@ -35,7 +35,6 @@ from hickory_stream.mapping.rules.merge_history import Join, Past, after_unmerge
 from hickory_stream.mapping.rules.merging import with_better_views
 from hickory_stream.mapping.rules.space_agreement import agreed_after_placement
 from hickory_stream.mapping.steps.endings import cancelled, compress_elsewhere, drop, unite
-from hickory_stream.records import Phase
 
 
 def moved_track(track: Track, new_from_old: NDArray[np.float64], voxel_m: float) -> Track:
@@ -202,7 +201,7 @@ def _rest(host: Track, join: Join, rest_id: int, config: MappingConfig) -> Track
         existence=plus_since(rest.existence, host.existence, united.existence),
     )
     rest = with_better_views(rest, without_views(host, {view.name for view in join.far.views}))
-    if is_seen and (host.phase is Phase.ROOM or is_sure(rest, config.lifecycle)):
+    if is_seen and is_sure(rest, config.lifecycle):
         rest = replace(rest, phase=host.phase)
     return sketched(rest)
 
@@ -299,7 +298,7 @@ def _met(
 ) -> Iterator[tuple[float, int, int]]:
     # (-score, lower id, higher id) of tracks of submaps that were moved against each other, now at one place.
     everywhere = state.everywhere()
-    tracks = [t for t in everywhere if t.phase is not Phase.ROOM and t.sightings >= _MIN_SIGHTINGS]
+    tracks = [t for t in everywhere if t.sightings >= _MIN_SIGHTINGS]
     if not tracks:
         return
     centers = np.array([apply(state.submaps.world_from(t.submap_id), t.box.center[None])[0] for t in tracks])
@@ -324,7 +323,7 @@ def end_elsewhere(state: MapState) -> list[Effect]:
     lost = [track for track in state.elsewhere.values() if not is_object(track)]
     effects: list[Effect] = []
     for track in lost:
-        effects += drop(state, track, "structure" if track.phase is Phase.ROOM else "never confirmed")
+        effects += drop(state, track, "never confirmed")
     return effects
 
 

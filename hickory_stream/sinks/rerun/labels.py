@@ -13,7 +13,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
-from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT, Color, legend_of
+from hickory_stream.pictures.legend import FIXTURE, FIXTURE_TEXT, GENERATED, GENERATED_TEXT, Color, legend_of
 from hickory_stream.records import Phase, TrackedObject
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, Eye, eye_on
 from hickory_stream.sinks.rerun.items import LogItem, Span, clear_item
@@ -23,6 +23,7 @@ CAMERA_COLOR, BEFORE, AFTER, LOOP = (255, 214, 90), (232, 150, 60), (90, 170, 25
 DOUBTED, FLOOR_COLOR, WALLS_COLOR = (150, 150, 150), (112, 118, 130), (62, 70, 84)
 MEANINGS = (
     ("an object has one colour in all views, faded unless active", color_of_id(1)),
+    (FIXTURE_TEXT, FIXTURE),
     (GENERATED_TEXT, GENERATED),
     ("camera, its path", CAMERA_COLOR),
     ("path of odometry", BEFORE),
@@ -79,7 +80,11 @@ class ObjectLabels:
             if seen.id in self._shown and np.abs(thread - self._shown[seen.id]).max() < _STILL_M:
                 continue
             self._shown[seen.id] = thread
-            items.append(label_item(f"{LABELS}/{seen.id}", thread, str(seen.id), color_of_id(seen.id)))
+            items.append(
+                label_item(
+                    f"{LABELS}/{seen.id}", thread, str(seen.id), color_of_id(seen.id, is_fixture=seen.is_fixture)
+                )
+            )
         return items
 
 

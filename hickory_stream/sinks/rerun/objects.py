@@ -66,10 +66,10 @@ class ObjectLayers:
             items += self._changed_cloud(seen, shown, stamp_ns)
             if shown is None or not _same_box(seen, shown.object):
                 items += _box_items(seen)
-            if seen.shape is not None and (shown is None or not _same_shape(seen.shape, shown.object.shape)):
-                items += self._shape_items(seen.id, seen.shape)
+            if seen.shape is not None and (shown is None or not _same_shape(seen, shown.object)):
+                items += self._shape_items(seen, seen.shape)
             elif seen.sketch is not None and (shown is None or shown.object.sketch is not seen.sketch):
-                items.append(_sketch_item(seen.id, seen.sketch))
+                items.append(_sketch_item(seen, seen.sketch))
             self._shown[seen.id] = replace(self._shown[seen.id], object=seen)
         return items
 
@@ -117,8 +117,8 @@ class ObjectLayers:
             items.append(LogItem(path=path, archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING))
         return items
 
-    def _shape_items(self, object_id: int, shape: ObjectShape) -> list[LogItem]:
-        color = color_of_id(object_id)
+    def _shape_items(self, seen: TrackedObject, shape: ObjectShape) -> list[LogItem]:
+        object_id, color = seen.id, color_of_id(seen.id, is_fixture=seen.is_fixture)
         path = self._folder / "shapes" / shape.mesh_name
         layers: list[tuple[str, tuple[Any, ...]]] = []
         try:
@@ -154,20 +154,20 @@ def _facts(shape: ObjectShape) -> rr.DynamicArchetype:
     return rr.DynamicArchetype("hickory_stream.Shape", components=facts)
 
 
-def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
+def _sketch_item(seen: TrackedObject, sketch: Superquadrics) -> LogItem:
     """Return the sketch in the place of layer 3, which replaces it when it comes."""
-    mesh = superquadric_mesh(sketch, color_of_id(object_id), alpha=_SKETCH_ALPHA)
-    return LogItem(path=f"{FITTED_LAYER}/{object_id}", archetypes=(mesh,), span=Span.LASTING)
+    mesh = superquadric_mesh(sketch, color_of_id(seen.id, is_fixture=seen.is_fixture), alpha=_SKETCH_ALPHA)
+    return LogItem(path=f"{FITTED_LAYER}/{seen.id}", archetypes=(mesh,), span=Span.LASTING)
 
 
 def _box_items(seen: TrackedObject) -> list[LogItem]:
-    label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
-
+    facts = ("fixture",) * seen.is_fixture + (seen.phase,) * (seen.phase is not Phase.ACTIVE)
+    label = " ".join((str(seen.id), *facts))
     box: dict[str, Any] = {
         "centers": [seen.box.center],
         "half_sizes": [seen.box.half_extents_m],
         "quaternions": [rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
-        "colors": shaded(color_of_id(seen.id), _FADED[seen.phase]),
+        "colors": shaded(color_of_id(seen.id, is_fixture=seen.is_fixture), _FADED[seen.phase]),
         "radii": -1.5 if seen.phase is Phase.ACTIVE else -0.7,
         "labels": [label],
         "show_labels": False,
@@ -184,14 +184,18 @@ def _box_items(seen: TrackedObject) -> list[LogItem]:
 def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
     return (
         a.phase is b.phase
+        and a.kind is b.kind
         and _same(a.box.world_from_box, b.box.world_from_box)
         and _same(a.box.half_extents_m, b.box.half_extents_m)
     )
 
 
-def _same_shape(a: ObjectShape, b: ObjectShape | None) -> bool:
-    # Same shape at the same pose: a corrected submap moves its shapes.
-    return b is not None and a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
+def _same_shape(one: TrackedObject, other: TrackedObject) -> bool:
+    # Same shape at the same pose, in the same colour: a corrected submap moves its shapes.
+    a, b = one.shape, other.shape
+    if a is None or b is None or one.kind is not other.kind:
+        return False
+    return a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
 
 
 def _same_cloud(a: TrackedObject, b: TrackedObject) -> bool:

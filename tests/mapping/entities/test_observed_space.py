@@ -12,9 +12,6 @@ from hickory_stream.mapping.entities.observed_space import (
     empty_space,
     false_floor,
     floor_change,
-    share_in,
-    structure_hits,
-    with_room,
 )
 from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import space
@@ -110,43 +107,6 @@ def test_the_floor_goes_down_at_once_and_up_slowly():
     assert risen is not None
     assert 0.0 < risen < 0.35
     assert floor(*[0.0] * 3, *[0.02] * 60) == pytest.approx(0.02, abs=1e-3)
-
-
-WALL = (np.stack(np.meshgrid(np.arange(20), [3], np.arange(20)), axis=-1).reshape(-1, 3) * 0.05 + 0.02).astype(
-    np.float32
-)
-
-
-def test_a_track_held_for_the_room_is_structure_for_that_time():
-    wall, behind = np.unique(keys_of_points(WALL, 0.05)), np.unique(keys_of_points(WALL[:50], 0.05))
-    before = after(space(free=behind, structure=keys(1, 2)))
-    held = with_room(before, wall)
-    assert as_record(held).structure.tolist() == wall.tolist()
-    assert not set(as_record(held).free.tolist()) & set(wall.tolist())
-    assert (structure_hits(held, wall) == 255).all()
-    for _ in range(3):
-        held = add(held, space(structure=keys(1, 2), free=behind))
-    # No keyframe voted for it, so that nothing stays of it.
-    freed = as_record(with_room(held, keys()))
-    assert freed.structure.tolist() == [1, 2]
-    assert freed.free.tolist() == behind.tolist()
-
-
-def test_rays_through_a_room_track_are_kept_for_later():
-    wall = np.unique(keys_of_points(WALL, 0.05))
-    held = add(with_room(after(), wall), space(free=wall))
-    assert as_record(held).free.tolist() == []
-    assert as_record(with_room(held, keys())).free.tolist() == wall.tolist()
-
-
-def test_pieces_lie_only_in_tracks_held_for_the_room():
-    seen_often = after(*[space(structure=keys_of_points(WALL, 0.05))] * 400)
-    assert share_in(seen_often.room, WALL, seen_often.voxel_m) == 0.0
-    beside = WALL + np.array([0, 0.5, 0], dtype=np.float32)
-    state = with_room(seen_often, np.unique(keys_of_points(WALL, 0.05)))
-    assert share_in(state.room, beside, state.voxel_m) == 0.0
-    both = np.concatenate([WALL, beside])
-    assert share_in(state.room, both, state.voxel_m) == pytest.approx(0.5, abs=0.02)
 
 
 def level(z_m: float, side_m: float) -> np.ndarray:

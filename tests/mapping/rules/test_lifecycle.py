@@ -10,7 +10,7 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.existence import Existence
-from hickory_stream.mapping.entities.submaps import first_submap, with_room, with_seen
+from hickory_stream.mapping.entities.submaps import first_submap, with_seen
 from hickory_stream.mapping.entities.track import ShapeState, Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.map_state import MapState
@@ -28,7 +28,6 @@ from hickory_stream.mapping.rules.lifecycle import (
     transition,
 )
 from hickory_stream.mapping.rules.merging import merge
-from hickory_stream.mapping.rules.structure_checks import is_structure
 from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, TrackTransition, end_tracks
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, space, track
@@ -38,10 +37,9 @@ CONFIG = MappingConfig(
     lifecycle=LifecycleConfig(confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4),
 )
 SPACE_M = CONFIG.voxels.space_m
-TENTATIVE, ACTIVE, DORMANT, ARCHIVED, ROOM = Phase
+TENTATIVE, ACTIVE, DORMANT, ARCHIVED = Phase
 PAGE = Path(__file__).resolve().parent.parent.parent.parent / "hickory_stream" / "mapping" / "LIFE_CYCLE.md"
 BOX = box_surface((0, 0, 0.1))
-LARGE = box_surface((0, 0, 1.5), (3.2, 3.0, 0.4))
 FREE = np.unique(keys_of_points(BOX, SPACE_M))
 POT = box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6))
 BRANCH = box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12))
@@ -73,21 +71,6 @@ def there(
 def forgotten(state: MapState) -> MapState:
     """The map after a pose jump: nothing was seen since."""
     state.submaps = replace(state.submaps, first=1)
-    return state
-
-
-def in_room(state: MapState) -> MapState:
-    """The map where another track, which is part of the room, is where the track is."""
-    state.submaps = with_room(state.submaps, np.unique(keys_of_points(BOX, SPACE_M)))
-    return state
-
-
-def aside(*, points: np.ndarray = BOX, since: float = 2.0) -> MapState:
-    """The map where the track was set aside as part of the room, and was seen again since with so much evidence."""
-    state = there(ROOM, points=points)
-    item = state.tracks[1]
-    aside_evidence = item.existence.evidence - since
-    state.tracks[1] = replace(item, aside_evidence=aside_evidence, shape_state=ShapeState())
     return state
 
 
@@ -127,36 +110,28 @@ class Scenario:
 
 JUDGED, AGED = LifeEvent.JUDGED, LifeEvent.AGED
 SCENARIOS = [
-    Scenario(row=4, make=lambda: there(ACTIVE, points=LARGE), ends=ROOM),
-    Scenario(row=5, make=lambda: in_room(there(DORMANT)), ends="in structure"),
-    Scenario(row=6, make=aside, ends=TENTATIVE),
-    Scenario(row=7, make=lambda: there(ACTIVE, unseen_s=1.0), ends=ACTIVE),
-    Scenario(row=8, make=lambda: there(TENTATIVE, seen_through=4), ends="looked through"),
-    Scenario(row=8, make=lambda: there(ARCHIVED, seen_through=4), ends="looked through"),
-    Scenario(row=9, make=lambda: there(TENTATIVE, evidence=3.0, unseen_s=9.0), ends=ACTIVE),
-    Scenario(row=10, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1, seen_through=1), ends="looked through"),
-    Scenario(row=11, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1), ends="never confirmed"),
-    Scenario(row=12, make=lambda: there(DORMANT, unseen_s=60.1), ends=ARCHIVED),
-    Scenario(row=12, make=lambda: there(ACTIVE, unseen_s=60.1), ends=ARCHIVED),
-    Scenario(row=13, make=lambda: in_air(ACTIVE, 4.1), ends="merged"),
-    Scenario(row=14, make=lambda: with_wall(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
-    Scenario(row=15, make=lambda: forgotten(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
-    Scenario(row=15, make=lambda: in_air(DORMANT, 4.1), ends=DORMANT),
-    Scenario(row=16, make=lambda: there(ACTIVE, evidence=0.0, unseen_s=4.0), ends=ACTIVE),
-    Scenario(row=16, make=lambda: there(DORMANT), ends=ACTIVE),
-    Scenario(row=16, make=lambda: there(ARCHIVED), ends=ACTIVE),
-    Scenario(row=17, make=lambda: with_wall(there(DORMANT)), ends=DORMANT),
-    Scenario(row=18, make=aside, ends="structure"),
-    Scenario(row=19, make=lambda: there(TENTATIVE), ends="never confirmed"),
-    Scenario(row=20, make=lambda: in_air(DORMANT, 9.0), ends="merged"),
+    Scenario(row=3, make=lambda: there(ACTIVE, unseen_s=1.0), ends=ACTIVE),
+    Scenario(row=4, make=lambda: there(TENTATIVE, seen_through=4), ends="looked through"),
+    Scenario(row=4, make=lambda: there(ARCHIVED, seen_through=4), ends="looked through"),
+    Scenario(row=5, make=lambda: there(TENTATIVE, evidence=3.0, unseen_s=9.0), ends=ACTIVE),
+    Scenario(row=6, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1, seen_through=1), ends="looked through"),
+    Scenario(row=7, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1), ends="never confirmed"),
+    Scenario(row=8, make=lambda: there(DORMANT, unseen_s=60.1), ends=ARCHIVED),
+    Scenario(row=8, make=lambda: there(ACTIVE, unseen_s=60.1), ends=ARCHIVED),
+    Scenario(row=9, make=lambda: in_air(ACTIVE, 4.1), ends="merged"),
+    Scenario(row=10, make=lambda: with_wall(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
+    Scenario(row=11, make=lambda: forgotten(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
+    Scenario(row=11, make=lambda: in_air(DORMANT, 4.1), ends=DORMANT),
+    Scenario(row=12, make=lambda: there(ACTIVE, evidence=0.0, unseen_s=4.0), ends=ACTIVE),
+    Scenario(row=12, make=lambda: there(DORMANT), ends=ACTIVE),
+    Scenario(row=12, make=lambda: there(ARCHIVED), ends=ACTIVE),
+    Scenario(row=13, make=lambda: with_wall(there(DORMANT)), ends=DORMANT),
+    Scenario(row=14, make=lambda: there(TENTATIVE), ends="never confirmed"),
+    Scenario(row=15, make=lambda: in_air(DORMANT, 9.0), ends="merged"),
 ]
 NOTHING = [
     (TENTATIVE, AGED, lambda: there(TENTATIVE, evidence=2.9, unseen_s=8.0)),
     (ACTIVE, JUDGED, lambda: there(ACTIVE)),
-    (ROOM, JUDGED, lambda: aside(since=1.9)),
-    (ROOM, JUDGED, lambda: aside(points=LARGE)),
-    (ROOM, AGED, lambda: aside()),
-    (ACTIVE, JUDGED, lambda: forgotten(in_room(there(ACTIVE, unseen_s=1.0)))),
     (ACTIVE, LifeEvent.SPACE_FORGOTTEN, lambda: forgotten(with_wall(there(ACTIVE)))),
     (ACTIVE, LifeEvent.SOURCE_ENDED, lambda: there(ACTIVE)),
 ]
@@ -177,15 +152,10 @@ def test_a_row_applies_where_its_guards_hold(scenario):
     if isinstance(scenario.ends, Phase):
         assert row.to in (scenario.ends, None)
         assert after.phase is scenario.ends
-        is_aside = TrackEffect.SET_ASIDE in row.effects
-        assert effects == ([CancelShape(ticket=5)] if is_aside else [])
-        assert (after.shape_state.open_ticket, after.aside_evidence) == (
-            (None, before.existence.evidence) if is_aside else (before.shape_state.open_ticket, before.aside_evidence)
-        )
-        assert (len(state.submaps.space.room) > 0) == (after.phase is ROOM)
-        kinds = [d.kind for d in state.decisions if d.kind in ("phase", "room")]
+        assert effects == []
+        assert after.shape_state.open_ticket == before.shape_state.open_ticket
         is_change = after.phase is not before.phase
-        assert kinds == (["room" if ROOM in (before.phase, after.phase) else "phase"] if is_change else [])
+        assert [d.kind for d in state.decisions if d.kind == "phase"] == ["phase"] * is_change
         doubts = TrackEffect.DOUBT in row.effects
         assert (after.seen_through, after.existence.evidence) == (
             before.seen_through + doubts,
@@ -195,7 +165,7 @@ def test_a_row_applies_where_its_guards_hold(scenario):
         assert has_less == (TrackEffect.TRIM in row.effects) == any(d.kind == "trim" for d in state.decisions)
         return
     assert after is None
-    assert effects == ([] if before.phase in (TENTATIVE, ROOM) else [CancelShape(ticket=5)])
+    assert effects == ([] if before.phase is TENTATIVE else [CancelShape(ticket=5)])
     (decision,) = state.decisions
     if row.to is End.MERGED:
         assert state.tracks[2].merged_ids == (1,)
@@ -232,17 +202,8 @@ def test_a_track_takes_over_the_phase_of_the_more_seen_one(kept, gone, after):
     assert {row.to for row in LIFE_CYCLE if row.event is LifeEvent.TAKES_IN} == {Other.ITS_PHASE}
 
 
-@pytest.mark.parametrize(
-    ("kept", "gone", "after"), [(ROOM, ACTIVE, ACTIVE), (ACTIVE, ROOM, ACTIVE), (ROOM, ROOM, ROOM)]
-)
-@pytest.mark.parametrize("sightings", [2, 9])
-def test_a_thing_that_absorbs_what_was_room_stays_one(kept, gone, after, sightings):
-    one, other = track(1, BOX, sightings=5, phase=kept), track(2, BOX, sightings=sightings, phase=gone)
-    assert merge(one, other, VOXEL_M).phase is after
-
-
 def test_all_that_the_table_names_is_carried_out():
-    assert set(GUARDS) | {Guard.OTHER_SEEN_MORE, Guard.OTHER_MAYBE_OBJECT} == set(Guard)
+    assert set(GUARDS) | {Guard.OTHER_SEEN_MORE} == set(Guard)
     assert set(EFFECTS) == set(TrackEffect)
     assert {guard for row in LIFE_CYCLE for guard in row.guards} == set(Guard)
     assert {effect for row in LIFE_CYCLE for effect in row.effects} == set(TrackEffect)
@@ -280,7 +241,7 @@ def test_a_track_that_stays_unseen_never_becomes_younger(phase, evidence, first_
         case_of(state).happens(AGED)
         return state.tracks[1].phase if 1 in state.tracks else None
 
-    age = [TENTATIVE, ACTIVE, DORMANT, ARCHIVED, ROOM, None]
+    age = [TENTATIVE, ACTIVE, DORMANT, ARCHIVED, None]
     assert age.index(after(first_s + more_s)) >= age.index(after(first_s))
 
 
@@ -294,19 +255,3 @@ def test_the_table_is_printed_in_the_documentation():
     table = life_cycle_table()
     assert len(table.splitlines()) == len(LIFE_CYCLE) + 2
     assert table in PAGE.read_text(encoding="utf-8"), "run tools/write_life_cycle"
-
-
-@pytest.mark.parametrize(
-    ("size", "verdict"),
-    [
-        ((3.0, 0.2, 2.4), True),
-        ((2.1, 2.1, 0.05), True),
-        ((3.0, 0.9, 0.75), False),
-        ((0.6, 0.4, 2.5), False),
-        ((0.2, 0.2, 0.2), False),
-    ],
-    ids=["a wall", "a floor", "a long table", "a tall shelf", "a box"],
-)
-def test_what_is_over_two_metres_in_two_directions_is_structure(size, verdict):
-    corners = np.array([(0, 0, 0), size, (size[0], 0, 0), (0, size[1], size[2])], dtype=np.float32)
-    assert is_structure(track(1, corners), None, LifecycleConfig(structure_m=2.0)) is verdict

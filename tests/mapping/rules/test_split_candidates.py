@@ -1,20 +1,16 @@
-"""Parts that are split off their host, swollen observations, and slabs that are pieces of a wall."""
+"""Parts that are split off their host, and swollen observations."""
 
 from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from hickory_stream.geometry.lattice import Lattice
-from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
-from hickory_stream.mapping.entities.observed_space import add, empty_space, is_edge, is_flush, with_room
 from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
-from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
-from hickory_stream.mapping.rules.structure_checks import is_structure
-from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
+from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, track
 
 CONFIG = TrackSplitConfig()
 DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
@@ -98,47 +94,3 @@ def test_one_observation_does_not_double_a_settled_track():
     assert not is_oversized(with_bowl, replace(mug, sightings=2), config)
     assert not is_oversized(with_bowl, replace(mug, doubts=4), config)  # it has been said often enough
     assert not is_oversized(observation(0, box_surface((0.0, 0.0, 0.05), (0.11, 0.1, 0.11))), mug, config)
-
-
-@pytest.mark.parametrize(
-    ("center", "size", "verdict"),
-    [
-        ((0, 0, 0.8), (1.2, 0.1, 1.5), True),
-        ((0, 0, 0.8), (1.2, 0.4, 1.5), False),
-        ((0, 0, 1.2), (0.9, 0.06, 0.5), False),
-        ((0, 0, 0.3), (1.2, 0.1, 0.6), False),
-        ((0, 0, 1.9), (0.8, 0.14, 0.5), True),
-        ((0, 0, 1.7), (0.8, 0.04, 0.5), False),
-    ],
-    ids=["a wall between two doors", "a wardrobe", "a television", "a bench", "the wall over a door", "a picture"],
-)
-def test_an_upright_slab_above_the_waist_is_a_piece_of_wall(center, size, verdict):
-    slab = track(1, box_surface(center, size), sightings=6)
-    assert is_structure(slab, 0.0, LifecycleConfig()) is verdict
-    assert not is_structure(slab, None, LifecycleConfig())
-
-
-def test_a_slender_strip_at_a_wall_is_its_edge_and_a_lamp_is_not():
-    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(0, 2, 0.02), np.arange(0, 2.5, 0.02)))
-    keys = np.unique(keys_of_points(np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32), 0.05))
-    state = empty_space(0.05)
-    for _ in range(2):
-        state = add(state, space(structure=keys))
-    assert is_edge(state, track(1, box_surface((1.0, -0.03, 1.2), (0.06, 0.05, 0.8))).box)
-    assert not is_edge(state, track(2, box_surface((0.6, 0.5, 0.8), (0.05, 0.05, 1.4))).box)
-    assert not is_edge(state, track(3, box_surface((0.96, 0.5, 1.0), (0.08, 0.08, 0.3))).box)  # a bottle
-
-
-def test_a_flat_thing_is_wall_only_where_the_wall_surrounds_it():
-    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(-2, 2, 0.02), np.arange(0, 2.5, 0.02)))
-    wall = np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32)
-    keys = np.unique(keys_of_points(wall, 0.05))
-    state = empty_space(0.05)
-    for _ in range(2):
-        state = add(state, space(structure=keys))
-    patch = track(1, box_surface((1.0, 0.0, 1.0), (0.04, 0.8, 0.6)))
-    television = track(2, box_surface((0.85, 0.0, 1.0), (0.04, 0.8, 0.6)))
-    assert is_flush(state, patch.box)
-    assert not is_flush(state, television.box)
-    assert not is_flush(empty_space(0.05), patch.box)
-    assert not is_flush(with_room(empty_space(0.05), keys), patch.box)  # tracks set aside, not seen walls

@@ -1,13 +1,10 @@
-from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.observed_space import SpaceState, add, empty_space
-from hickory_stream.mapping.entities.track import Track
-from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall, why_structure
-from hickory_stream.records import Phase
-from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, space, track
+from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall
+from tests.mapping.mapping_fixtures import box_surface, space, track
 
 CONFIG = MappingConfig()
 SPACE_M = CONFIG.voxels.space_m
@@ -51,24 +48,3 @@ def test_what_rays_passed_for_the_most_part_was_looked_through():
     keys = np.unique(keys_of_points(BOX, SPACE_M))
     assert is_seen_through(track(1, BOX), keys, CONFIG)
     assert not is_seen_through(track(1, BOX), keys[: len(keys) // 2], CONFIG)
-
-
-def test_too_large_for_a_thing_is_structure_and_says_how_large():
-    wide = track(1, box_surface((0, 0, 1.5), (3.2, 3.0, 0.4)))
-    assert why_structure(wide, empty_space(SPACE_M), 0, CONFIG) == "3.2 x 3.0 x 0.4 m is too large for an object"
-    assert why_structure(track(1, BOX), empty_space(SPACE_M), 0, CONFIG) is None
-
-
-def picture(phase: Phase) -> Track:
-    """A picture on the wall at x = 0, last seen at clock 0."""
-    return replace(track(1, box_surface((0.02, 0.0, 1.4), (0.04, 0.5, 0.4)), sightings=9), phase=phase)
-
-
-@pytest.mark.parametrize(
-    ("phase", "clock_s", "is_asked"),
-    [(Phase.ACTIVE, 0, False), (Phase.ACTIVE, 2, True), (Phase.TENTATIVE, 0, True), (Phase.DORMANT, 9, False)],
-)
-def test_a_flat_thing_is_compared_with_the_wall_around_it(phase, clock_s, is_asked):
-    wall = np.stack(np.meshgrid([0.0], np.arange(-1.5, 1.5, 0.02), np.arange(0, 2.5, 0.02)), axis=-1).reshape(-1, 3)
-    reason = why_structure(picture(phase), space_with(wall, 6), clock_s * SECOND_NS, CONFIG)
-    assert reason == ("flat or an edge, and the wall goes on around it" if is_asked else None)

@@ -29,7 +29,7 @@ from tools.benchmarks.common.cached_runs import play_into
 from tools.benchmarks.common.processes import ROOT, output_of, play
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
-from tools.evaluation.oracle_ablation import Rung, TrueImages, core_of, mapping_of, segmenter_of
+from tools.evaluation.oracle_ablation import Rung, TrueImages, core_of, segmenter_of
 
 _TIMED_KEYFRAMES = 60
 _WARM_KEYFRAMES = 5
@@ -41,7 +41,7 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
     """Return the true objects that count and the objects of a map, each with its match or the reason for none."""
     truth = load_truth(truth_folder)
     config = MapperConfig()
-    config = replace(config, run=replace(config.run, shape_cache=False), mapping=mapping_of(rung, config.mapping))
+    config = replace(config, run=replace(config.run, shape_cache=False))
     images = TrueImages(truth)
     ports = {"segmenter": segmenter_of(rung, images, config), "core": core_of(rung, images, config)}
     play_into(out, open_source(str(log)), config, **ports)
