@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import without_outliers
 from hickory_stream.mapping.entities.cloud import Cloud, array_of, fuse, solid_part
-from hickory_stream.mapping.entities.existence import Existence, no_evidence
 from hickory_stream.mapping.entities.views import better
 from hickory_stream.records import ObjectShape, Observation, Phase, TrackedObject, View
 
@@ -64,8 +63,8 @@ class Track:
     shape: ObjectShape | None = None
     shape_state: ShapeState = ShapeState()
     merged_ids: tuple[int, ...] = ()
-    #: keyframes that saw through the object's place
-    seen_through: int = 0
+    #: how long keyframes have seen through the object's place since it was last seen
+    seen_through_ns: int = 0
     #: consecutive keyframes that under-segmented it with its surroundings
     doubts: int = 0
     #: it was split off another track, and must not be merged back as a part
@@ -77,9 +76,10 @@ class Track:
     #: superquadric fitted to `sketched_points` points; None while tentative and once it has a shape
     sketch: Superquadrics | None = None
     sketched_points: int = 0
-    existence: Existence = field(default_factory=no_evidence)
-    #: its evidence when it was last set aside as part of the room
-    aside_evidence: float = 0.0
+    #: evidence for its existence: how long it was observed (`lifecycle.observed_ns`)
+    observed_ns: int = 0
+    #: `observed_ns` when it was last set aside as part of the room
+    aside_ns: int = 0
 
     @property
     def names_of_views(self) -> tuple[str, ...]:
@@ -107,7 +107,7 @@ def new_track(
     clock_ns: int,
     sightings: int,
     submap_id: int,
-    existence: Existence,
+    observed_ns: int = 0,
     voxel_m: float,
 ) -> Track:
     """Return a new track of a cloud."""
@@ -124,7 +124,7 @@ def new_track(
         bounds=bounds_of(cloud.points),
         submap_id=submap_id,
         seen_in=submap_id,
-        existence=existence,
+        observed_ns=observed_ns,
     )
 
 

@@ -21,7 +21,6 @@ from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
-from hickory_stream.mapping.entities.existence import with_evidence_against
 from hickory_stream.mapping.entities.observed_space import SpaceState, share_in, window_of
 from hickory_stream.mapping.entities.submaps import space_around
 from hickory_stream.mapping.entities.track import Track, is_object, sketched, with_cloud
@@ -33,6 +32,7 @@ from hickory_stream.mapping.rules.lifecycle import (
     LifeEvent,
     TrackEffect,
     Transition,
+    counted_ns,
     is_sure,
     transition,
 )
@@ -266,8 +266,8 @@ class TrackTransition:
 
     def is_revised(self) -> bool:
         """Return whether the track, set aside, has gained enough evidence since and is no structure now."""
-        seen_since = self.track.existence.evidence - self.track.aside_evidence
-        return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
+        seen_since = self.track.observed_ns - self.track.aside_ns
+        return seen_since >= 1e9 * self.config.lifecycle.revise_s and self.why_structure is None
 
     def is_seen_through(self) -> bool:
         """Return whether the keyframe did not observe the track, but free space at its position."""
@@ -279,13 +279,15 @@ class TrackTransition:
 def _set_aside(case: TrackTransition, _: Transition) -> list[Effect]:
     track = case.track
     shape_state = replace(track.shape_state, open_ticket=None)
-    case.change(replace(track, shape_state=shape_state, aside_evidence=track.existence.evidence))
+    case.change(replace(track, shape_state=shape_state, aside_ns=track.observed_ns))
     return cancelled(track)
 
 
 def _doubt(case: TrackTransition, _: Transition) -> list[Effect]:
     track = case.track
-    case.change(replace(track, seen_through=track.seen_through + 1, existence=with_evidence_against(track.existence)))
+    passed_ns = counted_ns(case.state.keyframe_ns)
+    left_ns = max(track.observed_ns - passed_ns, 0)
+    case.change(replace(track, seen_through_ns=track.seen_through_ns + passed_ns, observed_ns=left_ns))
     return []
 
 
@@ -321,10 +323,10 @@ GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
     Guard.IN_ROOM: TrackTransition.is_in_room,
     Guard.REVISED: TrackTransition.is_revised,
     Guard.SEEN_THROUGH: TrackTransition.is_seen_through,
-    Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
+    Guard.PHANTOM: lambda case: case.track.seen_through_ns >= 1e9 * case.config.lifecycle.phantom_s,
     Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
     Guard.UNCONFIRMED: lambda case: case.is_unseen_for(case.config.lifecycle.tentative_s),
-    Guard.DOUBTED: lambda case: case.track.seen_through > 0,
+    Guard.DOUBTED: lambda case: case.track.seen_through_ns > 0,
     Guard.UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.dormant_s),
     Guard.LONG_UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.archive_s),
     Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),
