@@ -18,7 +18,7 @@ from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.inspection.track_history import ending_text, when
 from hickory_stream.map_folder.history.track_histories import Ending
-from hickory_stream.mapping.entities.existence import ExistenceConfig
+from hickory_stream.mapping.rules.lifecycle import LONGEST_NS
 
 MissReason = Literal[
     "out of reach",
@@ -98,7 +98,7 @@ class Missed:
 class Evidence:
     """Input to all reasons; `names` are of true objects, `boxes` of the map's objects.
 
-    A track is confirmed when the evidence of its sightings (weighted by `existence`) adds up to `confirm`.
+    A track is confirmed when it was observed for `confirm_s`.
     `depth_on` is the number of keyframes with depth on each true object.
     """
 
@@ -106,22 +106,20 @@ class Evidence:
     sightings: TruthSightings
     overlap: Overlap
     boxes: Mapping[int, OrientedBox]
-    confirm: float
-    existence: ExistenceConfig
+    confirm_s: float
     depth_on: Mapping[int, int]
 
     @property
     def fewest_sightings(self) -> int:
-        """The least number of sightings that can confirm a track, each of full weight and from a new viewpoint."""
-        most = max(self.existence.new_view_gain, self.existence.same_view_gain, 1e-9)
-        return max(1, int(np.ceil(self.confirm / most)))
+        """The least number of sightings that can confirm a track, with pauses that count whole."""
+        return 1 + int(np.ceil(1e9 * self.confirm_s / LONGEST_NS))
 
     @property
     def what_confirms(self) -> str:
         """What confirms a track, in words."""
-        new, same = self.existence.new_view_gain, self.existence.same_view_gain
-        worth = f"{new:g} for a sighting from another place, {same:g} for one more from the same"
-        return f"a track takes evidence of {self.confirm:g}: {worth}, less for what is small or has little depth"
+        return (
+            f"a track takes {self.confirm_s:g} s of observation, of which a pause adds at most {LONGEST_NS / 1e9:g} s"
+        )
 
 
 def state_of(sighting: Sighting) -> State:

@@ -81,8 +81,7 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
         sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),
         overlap=Overlap(saved.snapshot, placed),
         boxes={o.id: best_box(o, meshes) for o in saved.snapshot.objects if o.phase is not Phase.TENTATIVE},
-        confirm=mapping.lifecycle.confirm_sightings,
-        existence=mapping.existence,
+        confirm_s=mapping.lifecycle.confirm_s,
         depth_on=depth_on or {},
     )
     return Investigation(truth=placed, score=score_map(saved.snapshot, meshes, placed, depth_on), evidence=evidence)

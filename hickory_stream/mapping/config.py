@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 from hickory_stream.base.ranges import Ranged
 from hickory_stream.geometry.lattice import Lattice
-from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.entities.submaps import SubmapConfig
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.association import AssociateConfig
@@ -22,7 +21,6 @@ class MappingConfig(Ranged):
 
     voxels: Lattice = field(default_factory=Lattice)
     associate: AssociateConfig = field(default_factory=AssociateConfig)
-    existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
     merge: MergeConfig = field(default_factory=MergeConfig)
     split: TrackSplitConfig = field(default_factory=TrackSplitConfig)

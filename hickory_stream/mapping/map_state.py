@@ -52,6 +52,8 @@ class MapState:
     joins: Joins = field(default_factory=dict)
     #: time that has passed in all, without jumps of the stamps
     clock_ns: int = 0
+    #: time between the last two keyframes
+    keyframe_ns: int = 0
     #: stamp of the last keyframe; None before it and after a jump of the stamps
     stamp_ns: int | None = None
     revision: int = 0
@@ -111,8 +113,8 @@ class MapState:
 
     def advance_clock(self, stamp_ns: int) -> None:
         """Advance the clock to a stamp."""
-        if self.stamp_ns is not None:
-            self.clock_ns += max(0, stamp_ns - self.stamp_ns)
+        self.keyframe_ns = 0 if self.stamp_ns is None else max(0, stamp_ns - self.stamp_ns)
+        self.clock_ns += self.keyframe_ns
         self.stamp_ns = stamp_ns
 
     def decide(

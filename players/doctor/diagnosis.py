@@ -304,7 +304,7 @@ def examine_frames(
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
     gaps = played.gaps if isinstance(played, LogSource | FolderSource) else PoseGaps()
     _note_frames(found, _of_parts(ledger, parts), played.reasons() if isinstance(played, LogSource) else {}, gaps)
-    judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
+    judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_s)
     judge_motion(found, agreed, depth_unit_of(played))
     judge_color(found, agreement, lag)
     if agreed is None or not agreed.is_worthless:
@@ -357,14 +357,16 @@ def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> flo
     return max(1.0, min(elapsed, moved))
 
 
-def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, confirm: int) -> None:
+def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, confirm_s: float) -> None:
     """Report too few keyframes for the motion of the camera, or for any object to be confirmed."""
-    if number < confirm:
-        found.problems.append(f"{number} keyframes: a thing is mapped that is seen in {confirm}; record for longer")
+    if number < 2 or seconds < confirm_s:
+        found.problems.append(
+            f"{number} keyframes in {seconds:.1f} s: what is seen for {confirm_s:g} s is mapped; record for longer"
+        )
     elif due >= _LEAST_DUE and number - 1 < _DUE_SHARE * due:
         found.problems.append(
             f"{number} keyframes in {seconds:.1f} s, {due:.0f} would be due at this motion: frames come too seldom. "
-            f"A thing is mapped that is seen in {confirm}; record at 5 Hz or more, or move slower"
+            f"A thing is mapped that is seen for {confirm_s:g} s; record at 5 Hz or more, or move slower"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import without_outliers
 from hickory_stream.mapping.entities.cloud import Cloud, array_of, fuse, solid_part
-from hickory_stream.mapping.entities.existence import Existence, no_evidence
 from hickory_stream.mapping.entities.views import better
 from hickory_stream.records import ObjectKind, ObjectShape, Observation, Phase, TrackedObject, View
 
@@ -66,8 +65,8 @@ class Track:
     shape: ObjectShape | None = None
     shape_state: ShapeState = ShapeState()
     merged_ids: tuple[int, ...] = ()
-    #: keyframes that saw through the object's place
-    seen_through: int = 0
+    #: how long keyframes have seen through the object's place since it was last seen
+    seen_through_ns: int = 0
     #: consecutive keyframes that under-segmented it with its surroundings
     doubts: int = 0
     #: it was split off another track, and must not be merged back as a part
@@ -79,7 +78,8 @@ class Track:
     #: superquadric fitted to `sketched_points` points; None while tentative and once it has a shape
     sketch: Superquadrics | None = None
     sketched_points: int = 0
-    existence: Existence = field(default_factory=no_evidence)
+    #: evidence for its existence: how long it was observed (`lifecycle.counted_ns`)
+    observed_ns: int = 0
     kind: ObjectKind = ObjectKind.OBJECT
     fixture_probability: float = 0.0
     #: numbers of its solid points and of its sightings when its kind was judged last
@@ -112,7 +112,7 @@ def new_track(
     clock_ns: int,
     sightings: int,
     submap_id: int,
-    existence: Existence,
+    observed_ns: int = 0,
     voxel_m: float,
 ) -> Track:
     """Return a new track of a cloud."""
@@ -129,7 +129,7 @@ def new_track(
         bounds=bounds_of(cloud.points),
         submap_id=submap_id,
         seen_in=submap_id,
-        existence=existence,
+        observed_ns=observed_ns,
     )
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.mapping.entities.cloud import Cloud, share_near
-from hickory_stream.mapping.entities.existence import united
 from hickory_stream.mapping.entities.track import Track, without_views
 from hickory_stream.mapping.rules.merging import Votes
 from hickory_stream.records import Phase
@@ -155,7 +154,7 @@ def restored(new: Track, before: Track) -> Track:
         new,
         sightings=max(new.sightings, before.sightings),
         first_seen_ns=min(new.first_seen_ns, before.first_seen_ns),
-        existence=united(new.existence, before.existence),
+        observed_ns=max(new.observed_ns, before.observed_ns),
         coverage=tuple((sector, replace(view, object_id=new.id)) for sector, view in before.coverage),
         best_view=None if before.best_view is None else replace(before.best_view, object_id=new.id),
     )

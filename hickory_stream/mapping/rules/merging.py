@@ -16,7 +16,6 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.entities.cloud import Cloud, fuse, is_near, share_near
-from hickory_stream.mapping.entities.existence import united
 from hickory_stream.mapping.entities.track import Track, with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import better, covers_better
@@ -33,9 +32,9 @@ DUPLICATE_SHARE = 0.5
 SURE_SHARE = 0.7
 # An observation of one track that covers this share of another is a vote for a merge.
 _COVERS_SHARE = 0.3
-# This many votes, at this ratio to the keyframes in which the two were seen apart, suffice as well: close views
+# Votes for this long, at this ratio to the time for which the two were seen apart, suffice as well: close views
 # over-segment objects more often than distant ones under-segment them.
-_SURE_VOTES = 6
+_SURE_NS = 1_500_000_000
 _SURE_RATIO = 0.7
 
 
@@ -43,16 +42,16 @@ _SURE_RATIO = 0.7
 class MergeConfig(Ranged):
     """When two tracks are merged."""
 
-    #: Minimum number of keyframes that saw two tracks as one, and more than saw them apart.
-    min_votes: int = number(3, 1, 1_000_000, "votes")
+    #: Minimum time for which keyframes saw two tracks as one, and longer than they saw them apart.
+    min_together_s: float = number(0.75, 0, 1e9, "s")
 
 
 @dataclass(frozen=True, slots=True)
 class Votes:
-    """The number of keyframes that segmented a pair of tracks `together`, and `apart` while close to each other."""
+    """For how long keyframes segmented a pair of tracks together, and apart while close to each other."""
 
-    together: int = 0
-    apart: int = 0
+    together_ns: int = 0
+    apart_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +76,9 @@ class VoteBook:
         """Return the votes of a pair."""
         return self.rows.get(a, _NO_ROW).votes.get(b, _NO_VOTES)
 
-    def plus(self, pairs: Iterable[tuple[int, int]], *, together: int = 0, apart: int = 0) -> VoteBook:
+    def plus(self, pairs: Iterable[tuple[int, int]], *, together_ns: int = 0, apart_ns: int = 0) -> VoteBook:
         """Return the book with these votes added to each pair."""
-        added = {pair: Votes(together, apart) for pair in pairs}
+        added = {pair: Votes(together_ns, apart_ns) for pair in pairs}
         return self._changed([], added) if added else self
 
     def merged(self, kept: int, gone: int) -> VoteBook:
@@ -98,7 +97,7 @@ class VoteBook:
         added = {(far, other): own for other, own in votes.items()}
         for other, vote in self.all_of(host).items():
             own = votes.get(other, _NO_VOTES)
-            left = Votes(max(vote.together - own.together, 0), max(vote.apart - own.apart, 0))
+            left = Votes(max(vote.together_ns - own.together_ns, 0), max(vote.apart_ns - own.apart_ns, 0))
             if left != _NO_VOTES:
                 added[rest, other] = left
         return self._changed([host] if host in self.rows else [], added)
@@ -115,7 +114,7 @@ class VoteBook:
                 del _own(new, rows, other)[track_id]
         for (a, b), more in added.items():
             old = _own(new, rows, a).get(b, _NO_VOTES)
-            votes = Votes(old.together + more.together, old.apart + more.apart)
+            votes = Votes(old.together_ns + more.together_ns, old.apart_ns + more.apart_ns)
             _own(new, rows, a)[b] = _own(new, rows, b)[a] = votes
         for track_id, row in new.items():
             if row:
@@ -200,8 +199,8 @@ def merge(kept: Track, gone: Track, voxel_m: float) -> Track:
         seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
         shape=kept.shape or gone.shape,
         merged_ids=tuple(sorted({*kept.merged_ids, *gone.merged_ids, gone.id})),
-        seen_through=min(kept.seen_through, gone.seen_through),
-        existence=united(kept.existence, gone.existence),
+        seen_through_ns=min(kept.seen_through_ns, gone.seen_through_ns),
+        observed_ns=max(kept.observed_ns, gone.observed_ns),
         seen_in=max(kept.seen_in, gone.seen_in),
     )
 
@@ -232,7 +231,8 @@ def why_one(
     """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
     if a.kind is not b.kind:
         return _why_one_kind(a, b)
-    is_known = min(a.sightings, b.sightings) >= config.min_votes
+    least_ns = 1e9 * config.min_together_s
+    is_known = min(a.observed_ns, b.observed_ns) >= least_ns
     # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
     if is_known and not (a.is_promoted or b.is_promoted) and (part := graph.foot_of(a, b)) is not None:
         return part.reason
@@ -240,12 +240,12 @@ def why_one(
     if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
     votes = book.of(a.id, b.id)
-    often = votes.together >= _SURE_VOTES and votes.together >= _SURE_RATIO * votes.apart
-    if often or (votes.together >= config.min_votes and votes.together > votes.apart):
-        return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
+    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
+    if often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns):
+        return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
     small, large = (a.solid, b.solid) if len(a.solid.keys) <= len(b.solid.keys) else (b.solid, a.solid)
     share = share_near(small.keys, large)
-    limit = SURE_SHARE if votes.apart > votes.together else DUPLICATE_SHARE
+    limit = SURE_SHARE if votes.apart_ns > votes.together_ns else DUPLICATE_SHARE
     if share >= limit:
         return f"{share:.0%} of the smaller cloud lies on the larger one"
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)

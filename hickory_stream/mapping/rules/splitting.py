@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.mapping.entities.cloud import Cloud, fuse, share_near
 
-# Minimum ratio of the keyframes that segment a part apart to those that segment it together with the host.
+# Minimum ratio of the time for which a part is segmented apart to that for which it is segmented with its host.
 _APART_RATIO = 2.0
 # Two observations belong to one candidate if this share of each cloud lies on the other.
 SAME_SHARE = 0.45
@@ -28,22 +28,24 @@ MIN_VOXELS = 40
 class TrackSplitConfig(Ranged):
     """When a part is split off its host."""
 
-    #: Minimum number of keyframes that segment the part apart.
-    min_apart: int = number(4, 1, 1_000_000, "keyframes")
+    #: Minimum time for which keyframes segment the part apart.
+    min_apart_s: float = number(1.5, 0, 1e9, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SplitCandidate:
-    """A part of a host, the `frames` that segmented it apart, and the number that segmented both `together`."""
+    """A part of a host, and for how long keyframes segmented it apart and together with the host."""
 
     cloud: Cloud
-    frames: tuple[int, ...]
-    together: int = 0
+    #: the last keyframe that segmented it apart
+    frame_index: int
+    sightings: int
+    apart_ns: int
+    together_ns: int = 0
 
     def is_object(self, config: TrackSplitConfig) -> bool:
         """Return whether it was segmented apart often enough to be an object."""
-        apart = len(self.frames)
-        return apart >= config.min_apart and apart >= _APART_RATIO * self.together
+        return self.apart_ns >= 1e9 * config.min_apart_s and self.apart_ns >= _APART_RATIO * self.together_ns
 
 
 # By the id of their host.
@@ -53,17 +55,21 @@ SplitCandidates = dict[int, tuple[SplitCandidate, ...]]
 def with_keyframe(
     candidates: Mapping[int, tuple[SplitCandidate, ...]],
     frame_index: int,
+    passed_ns: int,
     apart: Sequence[tuple[int, Cloud]],
     whole: Sequence[tuple[int, Cloud]],
 ) -> SplitCandidates:
-    """Return the candidates after a keyframe; `apart`, `whole`: (host id, cloud) of observed parts and whole tracks."""
+    """Return the candidates after a keyframe, which counts for `passed_ns`.
+
+    `apart`, `whole`: (host id, cloud) of observed parts and whole tracks.
+    """
     updated = dict(candidates)
     for host_id, cloud in apart:
         if len(cloud.keys) >= MIN_VOXELS:
-            updated[host_id] = _with_candidate(updated.get(host_id, ()), frame_index, cloud)
+            updated[host_id] = _with_candidate(updated.get(host_id, ()), frame_index, passed_ns, cloud)
     for host_id, cloud in whole:
         if host_id in updated:
-            updated[host_id] = tuple(_seen_with(own, frame_index, cloud) for own in updated[host_id])
+            updated[host_id] = tuple(_seen_with(own, frame_index, passed_ns, cloud) for own in updated[host_id])
     return updated
 
 
@@ -75,23 +81,27 @@ def reassigned(candidates: Mapping[int, tuple[SplitCandidate, ...]], kept: int, 
     return updated
 
 
-def _with_candidate(own: tuple[SplitCandidate, ...], frame_index: int, cloud: Cloud) -> tuple[SplitCandidate, ...]:
+def _with_candidate(
+    own: tuple[SplitCandidate, ...], frame_index: int, passed_ns: int, cloud: Cloud
+) -> tuple[SplitCandidate, ...]:
     for i, candidate in enumerate(own):
         if _is_same(candidate.cloud, cloud):
-            if frame_index in candidate.frames:
+            if frame_index == candidate.frame_index:
                 return own
-            seen = replace(candidate, cloud=fuse(candidate.cloud, cloud), frames=(*candidate.frames, frame_index))
+            apart_ns, sightings = candidate.apart_ns + passed_ns, candidate.sightings + 1
+            both = fuse(candidate.cloud, cloud)
+            seen = replace(candidate, cloud=both, frame_index=frame_index, sightings=sightings, apart_ns=apart_ns)
             return (*own[:i], seen, *own[i + 1 :])
-    return (*own, SplitCandidate(cloud=cloud, frames=(frame_index,)))
+    return (*own, SplitCandidate(cloud=cloud, frame_index=frame_index, sightings=1, apart_ns=passed_ns))
 
 
-def _seen_with(candidate: SplitCandidate, frame_index: int, whole: Cloud) -> SplitCandidate:
-    if frame_index in candidate.frames or share_near(candidate.cloud.keys, whole) < _COVERED_SHARE:
+def _seen_with(candidate: SplitCandidate, frame_index: int, passed_ns: int, whole: Cloud) -> SplitCandidate:
+    if frame_index == candidate.frame_index or share_near(candidate.cloud.keys, whole) < _COVERED_SHARE:
         return candidate
     # An observation of the part alone is no evidence: the rest may be occluded, or outside of the image.
     if share_near(whole.keys, candidate.cloud) >= _ALONE_SHARE:
         return candidate
-    return replace(candidate, together=candidate.together + 1)
+    return replace(candidate, together_ns=candidate.together_ns + passed_ns)
 
 
 def _is_same(a: Cloud, b: Cloud) -> bool:

@@ -21,7 +21,6 @@ from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
-from hickory_stream.mapping.entities.existence import with_evidence_against
 from hickory_stream.mapping.entities.observed_space import SpaceState, window_of
 from hickory_stream.mapping.entities.submaps import space_around
 from hickory_stream.mapping.entities.track import Track, is_object, sketched, with_cloud
@@ -34,6 +33,7 @@ from hickory_stream.mapping.rules.lifecycle import (
     LifeEvent,
     TrackEffect,
     Transition,
+    counted_ns,
     is_sure,
     transition,
 )
@@ -265,7 +265,9 @@ class TrackTransition:
 
 def _doubt(case: TrackTransition, _: Transition) -> list[Effect]:
     track = case.track
-    case.change(replace(track, seen_through=track.seen_through + 1, existence=with_evidence_against(track.existence)))
+    passed_ns = counted_ns(case.state.keyframe_ns)
+    left_ns = max(track.observed_ns - passed_ns, 0)
+    case.change(replace(track, seen_through_ns=track.seen_through_ns + passed_ns, observed_ns=left_ns))
     return []
 
 
@@ -295,10 +297,10 @@ def _merge(case: TrackTransition, _: Transition) -> list[Effect]:
 # Guards on two tracks that are merged are tested in `rules.merging`.
 GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
     Guard.SEEN_THROUGH: TrackTransition.is_seen_through,
-    Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
+    Guard.PHANTOM: lambda case: case.track.seen_through_ns >= 1e9 * case.config.lifecycle.phantom_s,
     Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
     Guard.UNCONFIRMED: lambda case: case.is_unseen_for(case.config.lifecycle.tentative_s),
-    Guard.DOUBTED: lambda case: case.track.seen_through > 0,
+    Guard.DOUBTED: lambda case: case.track.seen_through_ns > 0,
     Guard.UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.dormant_s),
     Guard.LONG_UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.archive_s),
     Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),

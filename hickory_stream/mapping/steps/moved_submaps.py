@@ -22,7 +22,6 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import moved
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import fuse, grown_since, moved_cloud, share_near
-from hickory_stream.mapping.entities.existence import Existence, no_evidence, plus_since
 from hickory_stream.mapping.entities.rigid_motion import moved_box, moved_shape, moved_view
 from hickory_stream.mapping.entities.submaps import Submaps, placed_at
 from hickory_stream.mapping.entities.track import Track, is_object, new_track, sketched, with_cloud, without_views
@@ -40,13 +39,11 @@ from hickory_stream.mapping.steps.endings import cancelled, compress_elsewhere, 
 def moved_track(track: Track, new_from_old: NDArray[np.float64], voxel_m: float) -> Track:
     """Return a track in another frame, its cloud on the lattice there; `new_from_old` (4, 4) is rigid."""
     views = {view.name: moved_view(view, new_from_old) for view in track.views}
-    known = track.existence
     there = replace(
         with_cloud(track, moved_cloud(track.cloud, new_from_old, voxel_m), track.sightings, voxel_m),
         best_view=None if track.best_view is None else views[track.best_view.name],
         shape=None if track.shape is None else moved_shape(track.shape, new_from_old),
         sketch=None if track.sketch is None else moved(track.sketch, new_from_old),
-        existence=Existence(evidence=known.evidence, places=apply(new_from_old, known.places)),
     )
     kept = [views[view.name] for _, view in track.coverage]
     sectors = {sector_of(view, there.box.center): view for view in kept}
@@ -183,7 +180,6 @@ def _rest(host: Track, join: Join, rest_id: int, config: MappingConfig) -> Track
             clock_ns=host.seen_clock_ns,
             sightings=0,
             submap_id=host.submap_id,
-            existence=no_evidence(),
             voxel_m=voxel_m,
         )
     elif len(gained.keys):
@@ -198,7 +194,7 @@ def _rest(host: Track, join: Join, rest_id: int, config: MappingConfig) -> Track
         last_seen_ns=last.last_seen_ns,
         seen_clock_ns=last.seen_clock_ns,
         seen_in=last.seen_in,
-        existence=plus_since(rest.existence, host.existence, united.existence),
+        observed_ns=rest.observed_ns + max(host.observed_ns - united.observed_ns, 0),
     )
     rest = with_better_views(rest, without_views(host, {view.name for view in join.far.views}))
     if is_seen and is_sure(rest, config.lifecycle):
@@ -311,7 +307,7 @@ def _met(
             a_from_b = state.submaps.between(a.submap_id, b.submap_id)
             then = before.between(a.submap_id, b.submap_id)
             is_anew = a.id in unmerged or b.id in unmerged
-            if (np.array_equal(a_from_b, then) and not is_anew) or state.votes.of(a.id, b.id).apart:
+            if (np.array_equal(a_from_b, then) and not is_anew) or state.votes.of(a.id, b.id).apart_ns:
                 continue
             score = _sameness(a, b, a_from_b, config)
             if score >= _SURE or (score > 0 and (is_anew or score > _sameness(a, b, then, config) + _CLOSER)):

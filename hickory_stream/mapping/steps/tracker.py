@@ -16,11 +16,10 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.depth_sensor import information
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
-from hickory_stream.mapping.entities.existence import Existence, no_evidence, sighted
 from hickory_stream.mapping.entities.track import Sighting, Track, grown, new_track, with_cloud
 from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.association import Match, associate, is_oversized
-from hickory_stream.mapping.rules.lifecycle import LifeEvent, first_phase
+from hickory_stream.mapping.rules.lifecycle import LifeEvent, counted_ns, first_phase
 from hickory_stream.mapping.rules.merge_history import after_split, recalled, restored, without_far, without_views_of
 from hickory_stream.mapping.rules.merging import (
     find_pair,
@@ -134,7 +133,6 @@ class Tracker:
             clock_ns=state.clock_ns,
             sightings=1,
             submap_id=state.submaps.open_id,
-            existence=self._sighted(no_evidence(), event, observation),
             voxel_m=self._config.voxels.object_m,
         )
         state.next_id += 1
@@ -153,18 +151,16 @@ class Tracker:
             left += "; this frame alone has it as one with another mask, the map does not"
         text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {_candidates(match)}{left}"
         state.decide("associate", track.id, text, observation_index=observation.index)
+        since_ns = counted_ns(state.clock_ns - track.seen_clock_ns)
         track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=state.clock_ns)
-        track = replace(track, seen_through=0, seen_in=state.submaps.open_id)
+        track = replace(track, seen_through_ns=0, seen_in=state.submaps.open_id)
         if on_others.mean() < _FOREIGN_SHARE:
             own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
             track = grown(track, own, sightings, self._config.voxels.object_m)
             if not match.is_part:
-                track = replace(track, existence=self._sighted(track.existence, event, observation))
+                track = replace(track, observed_ns=track.observed_ns + since_ns)
         state.tracks[track.id] = track
         return tuple(covered)
-
-    def _sighted(self, known: Existence, event: FrameObserved, observation: Observation) -> Existence:
-        return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
 
     def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
         # Other established tracks that an observation's points may belong to.
@@ -184,7 +180,9 @@ class Tracker:
         apart = pairs_that_meet(bounds, [sighting.track_id for sighting in whole]) - grouped
         overlap = {pair_of(sighting.track_id, other) for sighting in sightings for other in sighting.covered}
         together = overlap | grouped
-        state.votes = state.votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
+        passed_ns = counted_ns(state.keyframe_ns)
+        votes = state.votes.plus(sorted(apart), apart_ns=passed_ns)
+        state.votes = votes.plus(sorted(together - apart), together_ns=passed_ns)
 
     def _note_split_candidates(self, state: MapState, event: FrameObserved, sightings: list[Sighting]) -> None:
         # A mask is also apart from its track if a mask of another object covers the rest of the track, e.g. a mug whose
@@ -195,7 +193,9 @@ class Tracker:
         for sighting in sightings:
             is_part = sighting.is_part or (sighting.lies_on > 0 and sighting.track_id in taken)
             (apart if is_part else whole).append((sighting.track_id, sighting.cloud))
-        state.split_candidates = with_keyframe(state.split_candidates, event.frame_index, apart, whole)
+        state.split_candidates = with_keyframe(
+            state.split_candidates, event.frame_index, counted_ns(state.keyframe_ns), apart, whole
+        )
 
 
 def _candidates(match: Match) -> str:
@@ -243,18 +243,16 @@ def _split_off(
     rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))
     if len(rest.keys) < MIN_VOXELS:
         return None
-    num_apart = len(candidate.frames)
-    cloud = solid_part(candidate.cloud, num_apart)
+    cloud = solid_part(candidate.cloud, candidate.sightings)
     new = new_track(
         state.next_id,
         cloud,
         phase=first_phase(LifeEvent.SPLIT_OFF),
         stamp_ns=event.stamp_ns,
         clock_ns=state.clock_ns,
-        sightings=num_apart,
+        sightings=candidate.sightings,
         submap_id=state.submaps.open_id,
-        # The keyframes that segmented it apart count as its sightings.
-        existence=Existence(evidence=float(num_apart), places=event.world_from_camera[None, :3, 3]),
+        observed_ns=candidate.apart_ns,
         voxel_m=voxel_m,
     )
     size = np.sort(2 * new.box.half_extents_m)
@@ -262,7 +260,7 @@ def _split_off(
         return None
     left = with_cloud(host, rest, host.sightings, voxel_m)
     pair = pair_of(host_id, new.id)
-    votes = state.votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
+    votes = state.votes.plus([pair], apart_ns=candidate.apart_ns, together_ns=candidate.together_ns)
     small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
     near = [track for track in state.tracks.touching(new.bounds) if track.id != host_id]
     graph = state.support_graph()
@@ -273,14 +271,15 @@ def _split_off(
     state.votes = votes
     # Its points came from the host: they are in the host's submap.
     new = replace(new, is_promoted=True, submap_id=host.submap_id)
-    text = f"seen apart from #{host_id} in {num_apart} keyframes, as one in {candidate.together}"
+    apart_s, together_s = candidate.apart_ns / 1e9, candidate.together_ns / 1e9
+    text = f"seen apart from #{host_id} for {apart_s:.1f} s, as one for {together_s:.1f} s"
     before = recalled(state.absorbed, host_id, cloud, SAME_SHARE)
     if before is None and (before := recalled(state.absorbed, host_id, left.solid, SAME_SHARE)) is not None:
         # The candidate is the original host, and the remaining points are the track that was merged into the host.
         rest_of_host = left.cloud
         # The host keeps its id and sightings, with the candidate's cloud.
-        left = replace(with_cloud(host, cloud, num_apart, voxel_m), sightings=host.sightings)
-        new = with_cloud(new, rest_of_host, num_apart, voxel_m)
+        left = replace(with_cloud(host, cloud, candidate.sightings, voxel_m), sightings=host.sightings)
+        new = with_cloud(new, rest_of_host, candidate.sightings, voxel_m)
     if before is not None:
         state.absorbed = after_split(state.absorbed, host_id, before)
         state.joins = without_far(state.joins, host_id, before.id)

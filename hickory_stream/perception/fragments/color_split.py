@@ -14,15 +14,15 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 
 # Side of the averaging windows.
-_WINDOW_PX = 9
+_WINDOW_PX = 5
 # Weight of lightness relative to chroma; below 1, since shadows change lightness.
-_LIGHTNESS = 0.5
+_LIGHTNESS = 0.75
 # Minimum CIE Lab distance between the two mean colours.
 _MIN_STEP = 12.0
 # Minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
 _MIN_SEPARATION = 0.7
 # Minimum area of a piece.
-_MIN_PIXELS = 30
+_MIN_PIXELS = 16
 # Maximum depth of recursive splits.
 _MAX_DEPTH = 2
 

@@ -31,7 +31,6 @@ NOT_DECIDING = {
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
     "perception/detection.py:_AZIMUTHS": "the bins of a histogram", "perception/space.py": "the layout of keys",
     "mapping/shape_requests.py": "when shapes are computed", "mapping/views.py:_SECTORS": "how many views are kept",
-    "mapping/existence.py:_MOST_PLACES": "how much is stored",
     "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/association.py:_TIE": "equality but for rounding",
     "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
