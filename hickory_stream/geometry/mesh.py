@@ -113,7 +113,7 @@ class Mesh:
     faces: NDArray[np.int32]
     #: (V, 3) RGB
     colors: NDArray[np.uint8]
-    #: (V,), False where a reconstructor generated the surface
+    #: (V,), False where a reconstructor continued or closed the surface
     is_seen: NDArray[np.bool_]
 
     def __post_init__(self) -> None:

@@ -11,8 +11,11 @@ from hickory_stream.geometry.superquadric_surface import display_mesh, surface_p
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.navigation.clearance import Answer, ClearanceScene
 from hickory_stream.navigation.sweep_kernels import NEAR_M
+from hickory_stream.ports import BuiltShape
 from hickory_stream.records import ObservedSpace
+from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from tests.navigation.rooms import tracked
+from tests.shapes.shape_fixtures import shape_inputs
 from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 
@@ -207,6 +210,31 @@ def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit():
     assert scene.classify(points).tolist() == [Answer.FREE, Answer.HIT_SEEN, Answer.HIT_SEEN, Answer.UNKNOWN]
     scene.observe(None)
     assert scene.classify(points)[3] == Answer.FREE
+
+
+def test_behind_a_front_alone_is_unknown_not_occupied():
+    # A cupboard with its front at y = -0.3 and a post at its back, from below its top: the box is as deep as both.
+    cupboard = trimesh.creation.box((0.8, 0.6, 1.0)).apply_translation([0, 0, 0.5])
+    post = trimesh.creation.box((0.1, 0.1, 1.4)).apply_translation([0.3, 0.25, 0.7])
+    inputs = shape_inputs(
+        trimesh.util.concatenate([cupboard, post]),
+        1,
+        azimuths_rad=(-np.pi / 2, -np.pi / 2),
+        elevation_rad=-0.15,
+        noise=0.002,
+    )
+    config = ShapeConfig()
+    built = build_shape(inputs, make_reconstructor("fused", config), config)
+    assert isinstance(built, BuiltShape)
+    scene = ClearanceScene()
+    scene.put(1, built.inflated)
+    front, behind = np.array([0.05, -0.3, 0.5]), np.array([0.05, 0.1, 0.5])
+    before = front + np.array([[0.0, -0.5, 0.0]])
+    scene.observe(
+        ObservedSpace(voxel_m=0.05, free=keys_of_points(before, 0.05), structure=np.empty(0, int), floor_z_m=0)
+    )
+    answers = scene.classify(np.array([before[0], front, behind]))
+    assert answers.tolist() == [Answer.FREE, Answer.HIT_SEEN, Answer.UNKNOWN]
 
 
 def test_an_empty_scene_is_free_and_a_broken_primitive_refused():

@@ -1,7 +1,7 @@
 """Shape completion: which of the unobserved voxels belong to the object.
 
-An unknown voxel is solid if most rays from it hit the object and hardly any reach free space: the inside of a half-seen
-box is filled, the space behind a leg is not, nor that below a wide object whose lower edge was seen in the air.
+An unknown voxel is solid if seen surface that faces two different ways along the object's axes lies over it: planes
+continue to their own edges, and a plate is as thick as its edge. A front alone ends in a closing face behind it.
 """
 
 from __future__ import annotations
@@ -11,20 +11,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.shapes.reconstruct.tsdf import Evidence
+from hickory_stream.shapes.reconstruct.tsdf import Evidence, gaussian_blurred
 
-UNKNOWN, FREE, SOLID = 0, 1, 2
-# The lowest voxels of an object may be merged with its support surface by blur.
-_DOWN = 2
-# Of the 26 directions around an unknown voxel at least this share must hit the object, and the number that reach free
-# space may be at most this ratio of the hits, times the share of the object's box not observed free.
-_MIN_HIT_SHARE = 0.08
-_MAX_FREE_RATIO = 0.9
-# It stands on feet if its surface ends in the air along this share of its outline, at most at this share of its height,
-# and in this ratio of places to those that reach the support.
-_MIN_EDGE = 0.33
-_MAX_CLEAR = 0.35
-_EDGE_RATIO = 1.5
+UNKNOWN, FREE, SOLID, _FACING = 0, 1, 2, 3
+# Two for each axis; `_facing` names them by their index.
+_WAYS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
+_NOWHERE = 6
+# Blur of free space for the direction of a surface, and of the space behind it, so that no column decides alone.
+_BLUR_VOXELS = 1.0
 # Separate pieces smaller than this share of the largest are dropped.
 _MIN_PIECE_SHARE = 0.02
 
@@ -43,70 +37,51 @@ def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np
 
 
 def solid_of(
-    states: NDArray[np.uint8],
-    fillable: tuple[slice, slice, slice],
-    support_index: int | None,
-    max_gap: int,
-    *,
-    is_wide: bool = False,
+    states: NDArray[np.uint8], fillable: tuple[slice, slice, slice], support_index: int | None, max_gap: int
 ) -> NDArray[np.bool_]:
-    """Return the completed solid, unknown voxels filled within `fillable`; only if `is_wide` may it stand on feet.
+    """Return the solid, completed within `fillable`.
 
     `support_index` is the lowest layer above the support surface, `max_gap` is in voxels.
     """
     states = states.copy()
     states[:, :, : support_index or 0] = UNKNOWN
-    enclosed = np.zeros(states.shape, dtype=bool)
-    # The more of the box was observed free, the less likely are unknown voxels to be solid.
-    share = float((states[fillable] != FREE).mean())
-    hits, frees = look_around(states)
-    max_free_ratio = _MAX_FREE_RATIO * share
-    enclosed[fillable] = ((hits >= _MIN_HIT_SHARE) & (frees <= max_free_ratio * hits))[fillable]
-    enclosed[:, :, : support_index or 0] = False
-    clear = _under_edge(states, fillable, support_index) if is_wide and support_index is not None else None
-    if clear is not None:
-        enclosed &= ~clear
-    solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
-    solid = _without_hair(solid, states)
-    if support_index is not None and clear is None:
+    first = _first_known(states)
+    is_behind = (first == _FACING).any(axis=1).astype(np.float32)
+    num_axes = sum((gaussian_blurred(one, _BLUR_VOXELS, mode="nearest") > 0.5).astype(np.uint8) for one in is_behind)
+    claimed = np.zeros(states.shape, dtype=bool)
+    claimed[fillable] = ((states == UNKNOWN) & (num_axes >= 2))[fillable]
+    claimed[:, :, : support_index or 0] = False
+    solid = _without_hair((states == SOLID) | claimed, states)
+    if support_index is not None:
         # A column under an outlier voxel must not become a spike on the floor.
-        solid = _without_hair(_down_to_support(solid, states, support_index, max_gap), states)
+        below = np.where(_is_open(first[:2]), FREE, states)
+        solid = _without_hair(_down_to_support(solid, below, support_index, max_gap), states)
     return large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), _MIN_PIECE_SHARE)
 
 
-def _under_edge(
-    states: NDArray[np.uint8], fillable: tuple[slice, slice, slice], support_index: int
-) -> NDArray[np.bool_] | None:
-    # None if the object has no feet; without its visible feet.
-    observed = states == SOLID
-    i, j = np.nonzero(observed.any(axis=2))
-    lowest = observed.argmax(axis=2)[i, j]
-    above = lowest - support_index
-    ends_in_air = states[i, j, np.maximum(lowest - 1, 0)] == FREE
-    nx, ny, nz = states.shape
-    is_edge = ends_in_air & (above > _DOWN) & (above <= _MAX_CLEAR * (nz - support_index))
-    is_down = above <= _DOWN
-    outline = 2 * sum(extent.stop - extent.start for extent in fillable[:2])
-    if is_edge.sum() < max(_MIN_EDGE * outline, _EDGE_RATIO * is_down.sum()):
-        return None
-    feet = np.zeros((nx, ny), dtype=bool)
-    feet[i[is_down], j[is_down]] = True
-    clear = np.zeros(states.shape, dtype=bool)
-    top = support_index + int(np.median(above[is_edge]))
-    clear[:, :, support_index:top] = ~ndimage.binary_dilation(feet)[:, :, None]
-    return clear
+def _first_known(states: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # (3, 2, ...) the first known state along each axis, down and up; _FACING: solid, and its surface faces that way.
+    facing = _facing(states)
+    first = np.empty((len(_WAYS), *states.shape), np.uint8)
+    for way, step in enumerate(_WAYS):
+        _fill_first_known(states, facing, way, step, first[way])
+    return first.reshape(3, 2, *states.shape)
 
 
-def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return per voxel the shares of the 26 directions in which the first known voxel is SOLID, and FREE."""
-    hits = np.zeros(states.shape, np.uint8)
-    frees = np.zeros(states.shape, np.uint8)
-    first = np.empty(states.shape, np.uint8)
-    for direction in np.ndindex(3, 3, 3):
-        step = np.array(direction) - 1
-        if step.any():
-            _add_first_known(states, step, first, hits, frees)
-    return (hits / 26).astype(np.float32), (frees / 26).astype(np.float32)
+def _facing(states: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # Per voxel the way that free space lies, _NOWHERE without any near.
+    is_free = (states == FREE).astype(np.float32)
+    slopes = np.array(np.gradient(gaussian_blurred(is_free, _BLUR_VOXELS, mode="nearest")))
+    axis = np.abs(slopes).argmax(axis=0)
+    slope = np.take_along_axis(slopes, axis[None], axis=0)[0]
+    return np.where(slope == 0, _NOWHERE, 2 * axis + (slope > 0)).astype(np.uint8)
+
+
+def _is_open(first: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    # Seen free from one side, unbounded on the other, and no surface on any: under an edge that ends in the air.
+    is_free, is_unknown = first == FREE, first == UNKNOWN
+    is_one_sided = (is_free.sum(axis=1) == 1) & (is_unknown.sum(axis=1) == 1)
+    return np.asarray(is_one_sided.any(axis=0) & (is_free | is_unknown).all(axis=(0, 1)))
 
 
 def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -138,8 +113,8 @@ def large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_
 
 
 @kernel
-def _add_first_known(states, step, first, hits, frees):
-    # `first` is room for the states; they are UNKNOWN where the block ends first.
+def _fill_first_known(states, facing, way, step, first):
+    # UNKNOWN where the block ends first. A solid voxel without free space near lets the surface beyond it count.
     nx, ny, nz = states.shape
     for a in range(nx):
         i = nx - 1 - a if step[0] > 0 else a
@@ -148,12 +123,13 @@ def _add_first_known(states, step, first, hits, frees):
             for c in range(nz):
                 k = nz - 1 - c if step[2] > 0 else c
                 u, v, w = i + step[0], j + step[1], k + step[2]
-                if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
-                    state = np.uint8(UNKNOWN)
-                elif states[u, v, w] != UNKNOWN:
+                state = np.uint8(UNKNOWN)
+                if u >= 0 and v >= 0 and w >= 0 and u < nx and v < ny and w < nz:
                     state = states[u, v, w]
-                else:
-                    state = first[u, v, w]
+                    if state == UNKNOWN or (
+                        state == SOLID and facing[u, v, w] == _NOWHERE and first[u, v, w] == _FACING
+                    ):
+                        state = first[u, v, w]
+                    elif state == SOLID and facing[u, v, w] == way:
+                        state = np.uint8(_FACING)
                 first[i, j, k] = state
-                hits[i, j, k] += state == SOLID
-                frees[i, j, k] += state == FREE

@@ -27,8 +27,6 @@ _MIN_POINTS = 20
 _MIN_HALF_EXTENT_M = 0.01
 # Columns that end at most this far above the support surface are continued down to it through unknown voxels.
 _MAX_SUPPORT_GAP_M = 0.08
-# An object with at least this horizontal area can stand on feet; a smaller one with a side that flares out looks alike.
-_MIN_FEET_AREA_M2 = 0.25
 # A voxel is larger if the mesh would otherwise exceed about this many faces.
 MAX_FACES = 20_000
 # Ratio of the disagreement between views to the sensor's sigma: errors of neighbouring pixels are correlated, and
@@ -86,7 +84,7 @@ class FusedReconstructor:
 
 
 def with_faced_box(inputs: ShapeInputs) -> ShapeInputs:
-    """Return the inputs with a box aligned with the observed sides; unobserved space is filled within it."""
+    """Return the inputs with a box aligned with the observed sides, along whose axes they are continued."""
     points = inputs.points_world[inputs.box.contains(inputs.points_world, 1e-3)]
     if len(points) < _MIN_POINTS:
         return inputs
@@ -158,7 +156,7 @@ def reconstruct_views(inputs: ShapeInputs, views: list[DepthView], volume: Volum
     evidence = integrate(grid, views)
     cells = grid.cells(inputs.points_world)
     states = classify(evidence, cells[grid.contains(cells)])
-    solid = solid_of(states, block.fillable, block.support_index, block.max_gap, is_wide=block.is_wide)
+    solid = solid_of(states, block.fillable, block.support_index, block.max_gap)
     if not solid.any():
         return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
     return mesh_of_field(surface_field(solid, evidence), grid, inputs)
@@ -166,16 +164,15 @@ def reconstruct_views(inputs: ShapeInputs, views: list[DepthView], volume: Volum
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Block:
-    """The grid of one object; only an object that `is_wide` may stand on feet."""
+    """The grid of one object."""
 
     grid: VoxelGrid
-    #: the object's box, within which unseen space is filled
+    #: the object's box, outside which nothing is completed
     fillable: tuple[slice, slice, slice]
     #: the lowest layer above the support surface, None without one
     support_index: int | None
     #: layers above the support within which columns are continued down to it
     max_gap: int
-    is_wide: bool
 
 
 def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig) -> Block:
@@ -200,7 +197,6 @@ def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig
         fillable=(inner[0], inner[1], inner[2]),
         support_index=support_index,
         max_gap=int(np.ceil((float_m + _MAX_SUPPORT_GAP_M) / voxel)) + 1 if rests else 0,
-        is_wide=float(4 * half[0] * half[1]) >= _MIN_FEET_AREA_M2,
     )
 
 
