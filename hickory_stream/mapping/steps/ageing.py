@@ -44,7 +44,7 @@ from hickory_stream.records import ObjectShape, Phase
 
 _ROUNDING_NS = 2
 # The kind of a track is judged again when its points or sightings have changed by this share, and at the end.
-_JUDGED_GROWTH = 0.2
+_JUDGED_GROWTH = 0.5
 # A generated shape of which a keyframe sees this share to be free is renewed, if views have come since its request.
 _REFUTED_SHARE = 0.1
 
