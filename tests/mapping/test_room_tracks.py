@@ -13,9 +13,7 @@ from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.records import Decision
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
-CONFIG = MappingConfig(
-    voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_sightings=3, phantom_frames=2)
-)
+CONFIG = MappingConfig(voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_s=2.0, phantom_s=2.0))
 
 
 def cupboard(depth_m: float) -> NDArray[np.float32]:
@@ -85,9 +83,8 @@ def test_a_final_room_track_is_dropped_as_structure():
     assert structure(core) == held > 100
 
 
-def test_more_of_the_same_view_revises_nothing():
-    """Frames from one place are not independent: what grows by their noise alone stays set aside."""
-    config = replace(CONFIG, lifecycle=replace(CONFIG.lifecycle, revise_evidence=8.0))
+def test_a_look_that_is_too_short_revises_nothing():
+    config = replace(CONFIG, lifecycle=replace(CONFIG.lifecycle, revise_s=8.0))
     core = MapperCore(config)
     drive(core, [seen(i, FRONT) for i in range(4)])
     growing = [cupboard(depth_m) for depth_m in (0.2, 0.24, 0.28, 0.28)]

@@ -9,7 +9,6 @@ from hickory_stream.events import CancelShape
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.mapping.entities.existence import Existence
 from hickory_stream.mapping.entities.submaps import first_submap, with_room, with_seen
 from hickory_stream.mapping.entities.track import ShapeState, Track
 from hickory_stream.mapping.entities.track_table import TrackTable
@@ -35,7 +34,9 @@ from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, spac
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    lifecycle=LifecycleConfig(confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4),
+    lifecycle=LifecycleConfig(
+        confirm_s=3.0, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_s=4.0, revise_s=2.0
+    ),
 )
 SPACE_M = CONFIG.voxels.space_m
 TENTATIVE, ACTIVE, DORMANT, ARCHIVED, ROOM = Phase
@@ -52,18 +53,19 @@ def there(
     phase: Phase,
     *,
     points: np.ndarray = BOX,
-    evidence: float = 9.0,
+    observed_s: float = 9.0,
     unseen_s: float = 0.0,
-    seen_through: int = 0,
+    seen_through_s: float = 0.0,
     others: tuple[Track, ...] = (),
 ) -> MapState:
     """A map with track 1 in a phase, not seen for so long, whose shape is asked for as job 5 once it is confirmed."""
     state = MapState(submaps=first_submap(SPACE_M), clock_ns=round((7 + unseen_s) * SECOND_NS), next_id=9)
+    state.keyframe_ns = SECOND_NS
     item = replace(
         track(1, points, phase=phase),
         seen_clock_ns=7 * SECOND_NS,
-        seen_through=seen_through,
-        existence=Existence(evidence=evidence, places=np.zeros((1, 3))),
+        seen_through_ns=round(seen_through_s * SECOND_NS),
+        observed_ns=round(observed_s * SECOND_NS),
         shape_state=ShapeState() if phase is TENTATIVE else ShapeState(open_ticket=5),
     )
     state.tracks = TrackTable({item.id: item, **{other.id: other for other in others}})
@@ -82,12 +84,12 @@ def in_room(state: MapState) -> MapState:
     return state
 
 
-def aside(*, points: np.ndarray = BOX, since: float = 2.0) -> MapState:
-    """The map where the track was set aside as part of the room, and was seen again since with so much evidence."""
+def aside(*, points: np.ndarray = BOX, since_s: float = 2.0) -> MapState:
+    """The map where the track was set aside as part of the room, and observed for so long since."""
     state = there(ROOM, points=points)
     item = state.tracks[1]
-    aside_evidence = item.existence.evidence - since
-    state.tracks[1] = replace(item, aside_evidence=aside_evidence, shape_state=ShapeState())
+    aside_ns = item.observed_ns - round(since_s * SECOND_NS)
+    state.tracks[1] = replace(item, aside_ns=aside_ns, shape_state=ShapeState())
     return state
 
 
@@ -131,18 +133,20 @@ SCENARIOS = [
     Scenario(row=5, make=lambda: in_room(there(DORMANT)), ends="in structure"),
     Scenario(row=6, make=aside, ends=TENTATIVE),
     Scenario(row=7, make=lambda: there(ACTIVE, unseen_s=1.0), ends=ACTIVE),
-    Scenario(row=8, make=lambda: there(TENTATIVE, seen_through=4), ends="looked through"),
-    Scenario(row=8, make=lambda: there(ARCHIVED, seen_through=4), ends="looked through"),
-    Scenario(row=9, make=lambda: there(TENTATIVE, evidence=3.0, unseen_s=9.0), ends=ACTIVE),
-    Scenario(row=10, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1, seen_through=1), ends="looked through"),
-    Scenario(row=11, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1), ends="never confirmed"),
+    Scenario(row=8, make=lambda: there(TENTATIVE, seen_through_s=4.0), ends="looked through"),
+    Scenario(row=8, make=lambda: there(ARCHIVED, seen_through_s=4.0), ends="looked through"),
+    Scenario(row=9, make=lambda: there(TENTATIVE, observed_s=3.0, unseen_s=9.0), ends=ACTIVE),
+    Scenario(
+        row=10, make=lambda: there(TENTATIVE, observed_s=2.0, unseen_s=8.1, seen_through_s=1.0), ends="looked through"
+    ),
+    Scenario(row=11, make=lambda: there(TENTATIVE, observed_s=2.0, unseen_s=8.1), ends="never confirmed"),
     Scenario(row=12, make=lambda: there(DORMANT, unseen_s=60.1), ends=ARCHIVED),
     Scenario(row=12, make=lambda: there(ACTIVE, unseen_s=60.1), ends=ARCHIVED),
     Scenario(row=13, make=lambda: in_air(ACTIVE, 4.1), ends="merged"),
     Scenario(row=14, make=lambda: with_wall(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
     Scenario(row=15, make=lambda: forgotten(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
     Scenario(row=15, make=lambda: in_air(DORMANT, 4.1), ends=DORMANT),
-    Scenario(row=16, make=lambda: there(ACTIVE, evidence=0.0, unseen_s=4.0), ends=ACTIVE),
+    Scenario(row=16, make=lambda: there(ACTIVE, observed_s=0.0, unseen_s=4.0), ends=ACTIVE),
     Scenario(row=16, make=lambda: there(DORMANT), ends=ACTIVE),
     Scenario(row=16, make=lambda: there(ARCHIVED), ends=ACTIVE),
     Scenario(row=17, make=lambda: with_wall(there(DORMANT)), ends=DORMANT),
@@ -151,9 +155,9 @@ SCENARIOS = [
     Scenario(row=20, make=lambda: in_air(DORMANT, 9.0), ends="merged"),
 ]
 NOTHING = [
-    (TENTATIVE, AGED, lambda: there(TENTATIVE, evidence=2.9, unseen_s=8.0)),
+    (TENTATIVE, AGED, lambda: there(TENTATIVE, observed_s=2.9, unseen_s=8.0)),
     (ACTIVE, JUDGED, lambda: there(ACTIVE)),
-    (ROOM, JUDGED, lambda: aside(since=1.9)),
+    (ROOM, JUDGED, lambda: aside(since_s=1.9)),
     (ROOM, JUDGED, lambda: aside(points=LARGE)),
     (ROOM, AGED, lambda: aside()),
     (ACTIVE, JUDGED, lambda: forgotten(in_room(there(ACTIVE, unseen_s=1.0)))),
@@ -179,17 +183,17 @@ def test_a_row_applies_where_its_guards_hold(scenario):
         assert after.phase is scenario.ends
         is_aside = TrackEffect.SET_ASIDE in row.effects
         assert effects == ([CancelShape(ticket=5)] if is_aside else [])
-        assert (after.shape_state.open_ticket, after.aside_evidence) == (
-            (None, before.existence.evidence) if is_aside else (before.shape_state.open_ticket, before.aside_evidence)
+        assert (after.shape_state.open_ticket, after.aside_ns) == (
+            (None, before.observed_ns) if is_aside else (before.shape_state.open_ticket, before.aside_ns)
         )
         assert (len(state.submaps.space.room) > 0) == (after.phase is ROOM)
         kinds = [d.kind for d in state.decisions if d.kind in ("phase", "room")]
         is_change = after.phase is not before.phase
         assert kinds == (["room" if ROOM in (before.phase, after.phase) else "phase"] if is_change else [])
-        doubts = TrackEffect.DOUBT in row.effects
-        assert (after.seen_through, after.existence.evidence) == (
-            before.seen_through + doubts,
-            before.existence.evidence - doubts,
+        doubts_ns = SECOND_NS * (TrackEffect.DOUBT in row.effects)
+        assert (after.seen_through_ns, after.observed_ns) == (
+            before.seen_through_ns + doubts_ns,
+            before.observed_ns - doubts_ns,
         )
         has_less = len(after.cloud.keys) < len(before.cloud.keys)
         assert has_less == (TrackEffect.TRIM in row.effects) == any(d.kind == "trim" for d in state.decisions)
@@ -267,16 +271,16 @@ def test_no_row_is_hidden_by_one_before_it():
 
 
 @given(st.sampled_from([ACTIVE, DORMANT, ARCHIVED]), st.integers(0, 50), st.floats(0, 10_000))
-def test_a_confirmed_track_is_never_lost_by_time_alone(phase, evidence, unseen_s):
-    state = there(phase, evidence=float(evidence), unseen_s=unseen_s)
+def test_a_confirmed_track_is_never_lost_by_time_alone(phase, observed_s, unseen_s):
+    state = there(phase, observed_s=observed_s, unseen_s=unseen_s)
     assert case_of(state).happens(AGED) == []
     assert state.tracks[1].phase in (ACTIVE, DORMANT, ARCHIVED)
 
 
 @given(st.sampled_from(list(Phase)), st.integers(0, 9), st.floats(0, 100), st.floats(0, 100))
-def test_a_track_that_stays_unseen_never_becomes_younger(phase, evidence, first_s, more_s):
+def test_a_track_that_stays_unseen_never_becomes_younger(phase, observed_s, first_s, more_s):
     def after(unseen_s: float) -> Phase | None:
-        state = there(phase, evidence=float(evidence), unseen_s=unseen_s)
+        state = there(phase, observed_s=observed_s, unseen_s=unseen_s)
         case_of(state).happens(AGED)
         return state.tracks[1].phase if 1 in state.tracks else None
 
