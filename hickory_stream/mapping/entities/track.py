@@ -76,7 +76,7 @@ class Track:
     #: superquadric fitted to `sketched_points` points; None while tentative and once it has a shape
     sketch: Superquadrics | None = None
     sketched_points: int = 0
-    #: evidence for its existence: how long it was observed (`lifecycle.observed_ns`)
+    #: evidence for its existence: how long it was observed (`lifecycle.counted_ns`)
     observed_ns: int = 0
     #: `observed_ns` when it was last set aside as part of the room
     aside_ns: int = 0
