@@ -16,6 +16,8 @@ _PRIOR = "the map's effect on a frame is perception.geometric.join.map_prior"
 _LEARNED = "trees that were trained with the network's odds join fragments"
 _GEOMETRY = "geometry decides what is structure"
 _KINDS = "what is large, or a part of the room, is a fixture of the map"
+_EXISTENCE = "new_view_gain same_view_gain min_gain fresh again least apart_rad apart_ratio full_sr".split()
+_TIME = "time of observation counts now, by"
 _SEEN = "what is filled follows from what was seen around it"
 
 FORMER_KEYS = {
@@ -26,13 +28,13 @@ FORMER_KEYS = {
     "mapping.lattice.points_m": "set mapping.voxels.object_m",
     "mapping.lattice.space_m": "set mapping.voxels.space_m",
     "mapping.associate.swollen": "set mapping.associate.oversize_ratio",
-    "mapping.existence.new_view_gain": "set mapping.lifecycle.confirm_s",
-    "mapping.existence.same_view_gain": "set mapping.lifecycle.confirm_s",
-    "mapping.existence.min_gain": "set mapping.lifecycle.confirm_s",
-    "mapping.lifecycle.confirm_sightings": "set mapping.lifecycle.confirm_s",
-    "mapping.lifecycle.phantom_frames": "set mapping.lifecycle.phantom_s",
-    "mapping.merge.min_votes": "set mapping.merge.min_together_s",
-    "mapping.split.min_apart": "set mapping.split.min_apart_s",
+    # Of another unit: a recorded number is not taken over.
+    **dict.fromkeys((f"mapping.existence.{name}" for name in _EXISTENCE), f"{_TIME} mapping.lifecycle.confirm_s"),
+    "mapping.lifecycle.confirm_sightings": f"{_TIME} mapping.lifecycle.confirm_s",
+    "mapping.lifecycle.phantom_frames": f"{_TIME} mapping.lifecycle.phantom_s",
+    "mapping.merge.min_votes": f"{_TIME} mapping.merge.min_together_s",
+    "mapping.merge.sure_votes": f"{_TIME} mapping.merge.min_together_s",
+    "mapping.split.min_apart": f"{_TIME} mapping.split.min_apart_s",
     "registration.way_share": "set registration.drift_share",
     "graph.way_noise": "set graph.path_noise",
     "shapes.judgement.most_less": "set shapes.judgement.max_less",
@@ -83,7 +85,7 @@ perception.geometric.structure.raised_patches window_px=5 least_m=0.009 sigmas=3
     reach_px=12 min_border_share=0.3 min_border_px=2
 perception.geometric.structure.ground cell_m=0.2 level_m2=1.5 gap_m=1 off_plane_m=0.05 off_plane_m2=1
 perception.geometric.fragments step_m=0.008 gap_share=0.025 crease_rad=0.45 crease_reach_px=2 min_pixels=12
-perception.geometric.color_split window_px=9 lightness=0.5 min_step=12 min_separation=0.7 min_pixels=30 depth=2
+perception.geometric.color_split window_px=5 lightness=0.75 min_step=12 min_separation=0.7 min_pixels=16 depth=2
 perception.geometric.join rounds=12 reach_px=3 gap_m=0.2
 perception.geometric.join.bridging gap_m=0.5 tolerance_m=0.006 min_lines=4 min_share=0.12 other_lines=2
 perception.geometric.join.map_prior min_sightings=4 min_share=0.5
@@ -95,16 +97,17 @@ perception.masks max_share=0.6 structure_share=0.5 duplicate_iou=0.8 inside_shar
     flat_area_m2=0.008 visible_share=0.25 occluded_share=0.6
 perception.observe agree_sigmas=3 min_neighbors=5 min_returns=24 min_points=12
 mapping.track sketch_growth=0.3
-mapping.lifecycle structure_m=2.6 revise_evidence=2 finds_structure=1
 mapping.associate settled_sightings=5 swollen_over=0.5 most_doubted=4 patience=3 patience_share=0.2 lies_in=0.2
-mapping.existence apart_rad=0.6 apart_ratio=2 full_sr=0.004
-mapping.lifecycle phantom_share=0.7 structure_m3=12 wall_foot_m=0.7 wall_top_m=1.25 wall_height_m=0.75
-    wall_thickness_m=0.22 lintel_foot_m=1.4 lintel_top_m=2.1 structure_share=0.5 wall_share=0.15 wall_hits=4
-    wall_against=2
-mapping.merge duplicate_share=0.5 sure_share=0.7 covers_share=0.3 sure_votes=6 sure_ratio=0.7 neighbor_sightings=2
-    foreign_share=0.9
-mapping.split apart_ratio=2 same_share=0.45 covered_share=0.6 alone_share=0.8 min_voxels=40 min_size_m=0.025
-    part_inside=0.55 part_volume=0.5
+mapping.existence new_view_gain=2 same_view_gain=0.7 min_gain=0.5 fresh=2 again=0.7 least=0.5 apart_rad=0.6
+    apart_ratio=2 full_sr=0.004
+mapping.lifecycle confirm_sightings=4 phantom_frames=4 revise_evidence=2 structure_m=2.6 finds_structure=1
+    phantom_share=0.7 structure_m3=12 wall_foot_m=0.7 wall_top_m=1.25 wall_height_m=0.75 wall_thickness_m=0.22
+    lintel_foot_m=1.4 lintel_top_m=2.1
+    structure_share=0.5 wall_share=0.15 wall_hits=4 wall_against=2
+mapping.merge min_votes=3 duplicate_share=0.5 sure_share=0.7 covers_share=0.3 sure_votes=6 sure_ratio=0.7
+    neighbor_sightings=2 foreign_share=0.9
+mapping.split min_apart=4 apart_ratio=2 same_share=0.45 covered_share=0.6 alone_share=0.8 min_voxels=40
+    min_size_m=0.025 part_inside=0.55 part_volume=0.5
 mapping.views cut_worth=0.7 better_by=1.4
 mapping.requests refuted_share=0.1 replace_by=0.5
 mapping.flush thickness_m=0.12 min_size_m=0.2 reach_m=0.2 border_share=0.25 max_offset=0.8 foot_m=0.1 edge_width_m=0.1

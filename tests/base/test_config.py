@@ -157,7 +157,8 @@ def test_a_misspelt_key_is_refused_with_the_nearest_one(file, text, told):
         ("[mapper.mapping.lattice]\npoints_m = 0.02", "set mapper.mapping.voxels.object_m"),
         ("[mapper.mapping.parts]\nmin_apart = 3", "set mapper.mapping.split"),
         ("[mapper.run]\nlate_s = 3", "mapper.run.late_s is no setting any more: set mapper.run.max_late_s"),
-        ("[mapper.mapping.merge]\nsure_votes = 9", "merge.sure_votes is no setting any more: it is fixed at 6 now"),
+        ("[mapper.mapping.views]\nbetter_by = 2", "views.better_by is no setting any more: it is fixed at 1.4 now"),
+        ("[mapper.mapping.merge]\nmin_votes = 4", "observation counts now, by mapping.merge.min_together_s"),
         ("[mapper.mapping.support]\nlevel_m = 0.2", "support.level_m is no setting any more: it is fixed at 0.15 now"),
     ],
 )
@@ -237,13 +238,13 @@ def test_a_configuration_is_read_again_as_a_manifest_has_it():
 
 def test_a_file_of_another_version_is_read_as_far_as_known():
     data = json.loads(json.dumps(dataclasses.asdict(MapperConfig())))
-    data["mapping"]["lifecycle"]["confirm_sightings"] = 7
+    data["mapping"]["lifecycle"]["confirm_s"] = 7.0
     data["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
     data["mapping"]["voxels"]["space_m"] = "coarse"
     data["run"]["workers"] = -5
     del data["perception"]
     found = as_far_as_known(data)
-    assert found.mapping.lifecycle.confirm_sightings == 7
+    assert found.mapping.lifecycle.confirm_s == 7.0
     assert found.mapping.voxels == MapperConfig().mapping.voxels
     assert (found.run, found.perception) == (RunConfig(), MapperConfig().perception)
 
@@ -261,12 +262,23 @@ def test_the_voxels_of_an_older_map_keep_their_sizes(old):
 
 
 def test_an_older_configuration_loses_what_is_constant_now():
-    old: dict[str, Any] = {"existence": {"fresh": 1.5, "full_sr": 0.004}, "support": {"level_m": 0.15}}
+    old: dict[str, Any] = {"split": {"min_apart_s": 3.0, "apart_ratio": 2}, "support": {"level_m": 0.15}}
     config = from_dict(MapperConfig, with_current_names({"mapping": old}))
-    assert config.mapping.existence.new_view_gain == 1.5
+    assert config.mapping.split.min_apart_s == 3.0
     old["support"]["level_m"] = 0.2
     with pytest.raises(ConfigError, match=r"mapping.support.level_m .* it is fixed at 0.15 now"):
         from_dict(MapperConfig, with_current_names({"mapping": old}))
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "usual"),
+    [("lifecycle", "confirm_sightings", 4), ("existence", "new_view_gain", 2.0), ("merge", "min_votes", 3)],
+)
+def test_counts_of_an_older_configuration_do_not_become_seconds(section, key, usual):
+    assert from_dict(MapperConfig, with_current_names({"mapping": {section: {key: usual}}})) == MapperConfig()
+    assert as_far_as_known({"mapping": {section: {key: 9}}}) == MapperConfig()
+    with pytest.raises(ConfigError, match=f"{key} is no setting any more: time of observation counts now"):
+        from_dict(MapperConfig, with_current_names({"mapping": {section: {key: 9}}}))
 
 
 def test_the_shapes_of_an_older_configuration_are_read_alone():

@@ -11,13 +11,12 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.inspection.track_history import stretches_of
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.records import Decision, MapSnapshot, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 
 SIDE = 0.4
 THING, OTHER, FLOOR = 1, 2, None
-CONFIRM = 4
+CONFIRM_S = 1.75
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +82,7 @@ def evidence(
         ),
         overlap=Overlap(snapshot, truth),
         boxes={o.id: o.box for o in objects},
-        confirm=CONFIRM,
-        existence=ExistenceConfig(),
+        confirm_s=CONFIRM_S,
         depth_on={THING: num_depth},
     )
 
@@ -118,8 +116,8 @@ CASES = {
     "too few sightings": (
         five(mask(0.9, 0.9)),
         (drop("never confirmed", "never confirmed, after 3 sightings"),),
-        "#7, dropped in frame 90: never confirmed, after 3 sightings; a track takes evidence of 4: 2 for a sighting "
-        "from another place, 0.7 for one more from the same, less for what is small or has little depth",
+        "#7, dropped in frame 90: never confirmed, after 3 sightings; a track takes 1.75 s of "
+        "observation, of which a pause adds at most 1 s",
     ),
     "dropped as structure": (
         five(mask(0.9, 0.9)),
@@ -185,8 +183,8 @@ def test_a_merged_thing_is_one_by_masks_or_by_tracks(truth, purity, reason):
         assert "its track #7 was merged in frame 90: seen as one" in missed.text
 
 
-def test_two_sightings_can_be_enough(truth):
-    rejected = [sighting(i, Part(where="rejected mask", share=0.8, reason="3 points")) for i in range(2)]
+def test_three_sightings_can_be_enough(truth):
+    rejected = [sighting(i, Part(where="rejected mask", share=0.8, reason="3 points")) for i in range(3)]
     assert why_missed(THING, (), evidence(truth, rejected)).reason == "mask rejected"
 
 

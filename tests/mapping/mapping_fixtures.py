@@ -24,7 +24,6 @@ from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotatio
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import cloud_of
-from hickory_stream.mapping.entities.existence import Existence
 from hickory_stream.mapping.entities.observed_space import SpaceState, empty_space
 from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.support_graph import SupportGraph
@@ -66,13 +65,13 @@ def observation(
 
 
 def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, phase: Phase = Phase.ACTIVE) -> Track:
-    """A track that was seen at these points, each of them in every one of its keyframes; last at clock 0."""
+    """A track that was seen at these points, each in every one of its keyframes, one per second; last at clock 0."""
     cloud = cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
     cloud = replace(cloud, hits=cloud.hits * sightings)
     return Track(
         id=track_id, phase=phase, sightings=sightings, first_seen_ns=0, last_seen_ns=0, seen_clock_ns=0, cloud=cloud,
         solid=cloud, box=gravity_aligned_box(points, VOXEL_M), bounds=bounds_of(points),
-        existence=Existence(evidence=float(sightings), places=np.zeros((1, 3))),
+        observed_ns=(sightings - 1) * SECOND_NS,
     )  # fmt: skip
 
 

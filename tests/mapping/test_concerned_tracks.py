@@ -19,7 +19,7 @@ from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, driv
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    lifecycle=LifecycleConfig(confirm_sightings=2, dormant_s=2.0, archive_s=9.0, tentative_s=3.0, phantom_frames=2),
+    lifecycle=LifecycleConfig(confirm_s=1.0, dormant_s=2.0, archive_s=9.0, tentative_s=3.0, phantom_s=2.0),
     submaps=SubmapConfig(travel_m=9.0, searches_loops=False),
 )
 FAR_M = 14.0

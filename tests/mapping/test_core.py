@@ -26,7 +26,6 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
@@ -48,9 +47,8 @@ from tests.strategies import unit_share
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),  # each sighting counts as one
-    lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
-    merge=MergeConfig(min_votes=3),
+    lifecycle=LifecycleConfig(confirm_s=2.0, dormant_s=4.0, tentative_s=8.0, phantom_s=4.0),
+    merge=MergeConfig(min_together_s=1.5),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5, kilopoint_s=0.0),
 )
 # Off the border between two of the eight sectors.
@@ -122,6 +120,22 @@ def test_two_boxes_over_several_keyframes_give_these_effects():
     assert step(frame(9, observation(0, A, r_area=0.005))) == [("publish", ((1, "active"), (2, "dormant")))]
     assert step(TimeJumped(from_ns=9 * SECOND_NS, to_ns=0)) == []
     assert step(SourceEnded(stamp_ns=0)) == [("request", 3, 2), ("publish", ((1, "active"), (2, "dormant")))]
+
+
+def test_time_of_observation_confirms_at_every_keyframe_rate():
+    # From when until when each is seen, in seconds: two on the way, a glimpse, and one with a long pause.
+    times_s = [[(0, 6)], [(1, 3)], [(1, 2.75)], [(0, 0.25), (6, 6)]]
+
+    def confirmed(hz: int) -> dict[int, int]:
+        core = MapperCore(CONFIG)
+        for i in range(6 * hz + 1):
+            is_seen = [any(first <= i / hz <= last for first, last in times) for times in times_s]
+            things = [box_surface((0.6 * k, 0, 0.1)) for k in np.flatnonzero(is_seen)]
+            drive(core, [frame(i, *[observation(k, points) for k, points in enumerate(things)], stamp_s=i / hz)])
+        core.handle(SourceEnded(stamp_ns=6 * SECOND_NS))
+        return {round(item.box.center[0] / 0.6): item.sightings for item in core.snapshot().objects}
+
+    assert {hz: confirmed(hz) for hz in (1, 2, 4)} == {hz: {0: 6 * hz + 1, 1: 2 * hz + 1} for hz in (1, 2, 4)}
 
 
 def test_jumps_and_corrections_have_their_own_decision_kinds():
@@ -266,18 +280,19 @@ def test_halves_often_seen_as_one_merge_and_cancel_the_open_job():
 
 
 def test_halves_seen_apart_as_often_as_together_stay_two():
-    core = MapperCore(CONFIG)
-    apart = [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(3)]
-    drive(core, [*apart, *[frame(3 + i, observation(0, WHOLE)) for i in range(3)]])
+    core = MapperCore(replace(CONFIG, merge=MergeConfig(min_together_s=0.75)))
+    # One second each: the first keyframe has no time before it.
+    apart = [frame(i, observation(0, LEFT), observation(1, RIGHT), stamp_s=0.5 * i) for i in range(3)]
+    drive(core, [*apart, *[frame(i, observation(0, WHOLE), stamp_s=0.5 * i) for i in (3, 4)]])
     assert [tracked.id for tracked in core.snapshot().objects] == [1, 2]
 
 
 def test_what_only_the_map_holds_apart_was_seen_together():
-    # The frames by themselves see one thing, and are cut by what the map knew: three such votes outweigh two of before.
+    # The frames by themselves see one thing, and are cut by what the map knew: three such seconds outweigh two.
     cut = [replace(observation(0, LEFT), group=1), replace(observation(1, RIGHT), group=1)]
     core = MapperCore(CONFIG)
-    drive(core, [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(2)])
-    effects = drive(core, [frame(2 + i, *cut) for i in range(3)])
+    drive(core, [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(3)])
+    effects = drive(core, [frame(3 + i, *cut) for i in range(3)])
     told = [d.text for e in effects if isinstance(e, Publish) for d in e.decisions if d.kind == "associate"]
     assert all("this frame alone has it as one with another mask" in text for text in told)
     (one,) = core.snapshot().objects

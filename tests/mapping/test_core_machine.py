@@ -26,7 +26,6 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
@@ -47,9 +46,8 @@ from tests.strategies import unit_share
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),  # each sighting counts as one
-    lifecycle=LifecycleConfig(confirm_sightings=2, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_frames=2),
-    merge=MergeConfig(min_votes=2),
+    lifecycle=LifecycleConfig(confirm_s=1.0, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_s=2.0),
+    merge=MergeConfig(min_together_s=1.5),
     requests=RequestConfig(
         max_in_flight=MAX_IN_FLIGHT, first_sightings=2, min_gain=0.2, interval_s=1.0, max_failures=2
     ),

@@ -16,7 +16,7 @@ from hickory_stream.records import ObjectKind, Phase
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
 CONFIG = MappingConfig(
-    voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_sightings=3, phantom_frames=2)
+    voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_s=2.0, phantom_s=2.0)
 )
 WALL = box_surface((1.05, 0.0, 1.2), (0.1, 4.0, 2.4))
 PICTURE = box_surface((0.985, 0.0, 1.5), (0.02, 0.6, 0.4))

@@ -12,7 +12,6 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.entities.submaps import SubmapConfig
 from hickory_stream.mapping.invariants import INVARIANTS, validate
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
@@ -20,15 +19,15 @@ from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merge_history import Join, Past
 from hickory_stream.mapping.rules.merging import MergeConfig, VoteBook, VoteRow, Votes
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
-from hickory_stream.mapping.rules.splitting import SplitCandidate
+from hickory_stream.mapping.rules.splitting import SplitCandidate, TrackSplitConfig
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CONFIG = MappingConfig(
-    voxels=Lattice(object_m=VOXEL_M), existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),
-    lifecycle=LifecycleConfig(confirm_sightings=2), merge=MergeConfig(min_votes=2),
-    requests=RequestConfig(first_sightings=2), submaps=SubmapConfig(travel_m=3.0),
+    voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_s=1.0), merge=MergeConfig(min_together_s=1.5),
+    split=TrackSplitConfig(min_apart_s=4.0), requests=RequestConfig(first_sightings=2),
+    submaps=SubmapConfig(travel_m=3.0),
 )  # fmt: skip
 LEFT, RIGHT, FAR = (box_surface((x, 0, 0.1)) for x in (0.0, 0.2, 1.5))
 WHOLE = box_surface((0.1, 0, 0.1), (0.4, 0.2, 0.2))
@@ -63,7 +62,7 @@ def state() -> MapState:
     assert len(found.submaps.states) > 1
     assert len(found.submaps.owned)
     assert all(track.shape_state.open_ticket is not None for track in found.tracks.values())
-    found.votes = found.votes.plus([(1, 3)], apart=1)
+    found.votes = found.votes.plus([(1, 3)], apart_ns=1)
     validate(found)
     return found
 
@@ -85,7 +84,9 @@ def space_with(state: MapState, **changes: object) -> None:
 
 
 def candidate_of(state: MapState, host: int) -> None:
-    state.split_candidates[host] = (SplitCandidate(cloud=state.tracks[3].cloud, frames=(1,)),)
+    state.split_candidates[host] = (
+        SplitCandidate(cloud=state.tracks[3].cloud, frame_index=1, sightings=1, apart_ns=1),
+    )
 
 
 def pending_of_nobody(state: MapState) -> None:

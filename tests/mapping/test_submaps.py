@@ -23,7 +23,6 @@ from hickory_stream.map_folder.codec import encode_snapshot
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.entities.observed_space import add, as_record
 from hickory_stream.mapping.entities.submaps import (
     SubmapConfig,
@@ -44,8 +43,7 @@ from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, driv
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),  # each sighting counts as one
-    lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=2),
+    lifecycle=LifecycleConfig(confirm_s=2.0, dormant_s=4.0, tentative_s=8.0, phantom_s=2.0),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
     submaps=SubmapConfig(travel_m=1.5),
 )

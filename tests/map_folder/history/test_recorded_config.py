@@ -10,8 +10,7 @@ from hickory_stream.map_folder.history.recorded_config import known_config, reco
 from hickory_stream.map_folder.writer import create_map_folder
 
 RENAMED = (
-    "mapping.lattice.points_m", "mapping.lattice.space_m", "mapping.existence.fresh", "registration.way_share",
-    "run.late_s",
+    "mapping.lattice.points_m", "mapping.lattice.space_m", "registration.way_share", "run.late_s",
 )  # fmt: skip
 
 

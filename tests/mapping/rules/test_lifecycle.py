@@ -9,7 +9,6 @@ from hickory_stream.events import CancelShape
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.mapping.entities.existence import Existence
 from hickory_stream.mapping.entities.submaps import first_submap, with_seen
 from hickory_stream.mapping.entities.track import ShapeState, Track
 from hickory_stream.mapping.entities.track_table import TrackTable
@@ -34,7 +33,7 @@ from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, spac
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    lifecycle=LifecycleConfig(confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4),
+    lifecycle=LifecycleConfig(confirm_s=3.0, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_s=4.0),
 )
 SPACE_M = CONFIG.voxels.space_m
 TENTATIVE, ACTIVE, DORMANT, ARCHIVED = Phase
@@ -50,18 +49,19 @@ def there(
     phase: Phase,
     *,
     points: np.ndarray = BOX,
-    evidence: float = 9.0,
+    observed_s: float = 9.0,
     unseen_s: float = 0.0,
-    seen_through: int = 0,
+    seen_through_s: float = 0.0,
     others: tuple[Track, ...] = (),
 ) -> MapState:
     """A map with track 1 in a phase, not seen for so long, whose shape is asked for as job 5 once it is confirmed."""
     state = MapState(submaps=first_submap(SPACE_M), clock_ns=round((7 + unseen_s) * SECOND_NS), next_id=9)
+    state.keyframe_ns = SECOND_NS
     item = replace(
         track(1, points, phase=phase),
         seen_clock_ns=7 * SECOND_NS,
-        seen_through=seen_through,
-        existence=Existence(evidence=evidence, places=np.zeros((1, 3))),
+        seen_through_ns=round(seen_through_s * SECOND_NS),
+        observed_ns=round(observed_s * SECOND_NS),
         shape_state=ShapeState() if phase is TENTATIVE else ShapeState(open_ticket=5),
     )
     state.tracks = TrackTable({item.id: item, **{other.id: other for other in others}})
@@ -111,18 +111,20 @@ class Scenario:
 JUDGED, AGED = LifeEvent.JUDGED, LifeEvent.AGED
 SCENARIOS = [
     Scenario(row=3, make=lambda: there(ACTIVE, unseen_s=1.0), ends=ACTIVE),
-    Scenario(row=4, make=lambda: there(TENTATIVE, seen_through=4), ends="looked through"),
-    Scenario(row=4, make=lambda: there(ARCHIVED, seen_through=4), ends="looked through"),
-    Scenario(row=5, make=lambda: there(TENTATIVE, evidence=3.0, unseen_s=9.0), ends=ACTIVE),
-    Scenario(row=6, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1, seen_through=1), ends="looked through"),
-    Scenario(row=7, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1), ends="never confirmed"),
+    Scenario(row=4, make=lambda: there(TENTATIVE, seen_through_s=4.0), ends="looked through"),
+    Scenario(row=4, make=lambda: there(ARCHIVED, seen_through_s=4.0), ends="looked through"),
+    Scenario(row=5, make=lambda: there(TENTATIVE, observed_s=3.0, unseen_s=9.0), ends=ACTIVE),
+    Scenario(
+        row=6, make=lambda: there(TENTATIVE, observed_s=2.0, unseen_s=8.1, seen_through_s=1.0), ends="looked through"
+    ),
+    Scenario(row=7, make=lambda: there(TENTATIVE, observed_s=2.0, unseen_s=8.1), ends="never confirmed"),
     Scenario(row=8, make=lambda: there(DORMANT, unseen_s=60.1), ends=ARCHIVED),
     Scenario(row=8, make=lambda: there(ACTIVE, unseen_s=60.1), ends=ARCHIVED),
     Scenario(row=9, make=lambda: in_air(ACTIVE, 4.1), ends="merged"),
     Scenario(row=10, make=lambda: with_wall(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
     Scenario(row=11, make=lambda: forgotten(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
     Scenario(row=11, make=lambda: in_air(DORMANT, 4.1), ends=DORMANT),
-    Scenario(row=12, make=lambda: there(ACTIVE, evidence=0.0, unseen_s=4.0), ends=ACTIVE),
+    Scenario(row=12, make=lambda: there(ACTIVE, observed_s=0.0, unseen_s=4.0), ends=ACTIVE),
     Scenario(row=12, make=lambda: there(DORMANT), ends=ACTIVE),
     Scenario(row=12, make=lambda: there(ARCHIVED), ends=ACTIVE),
     Scenario(row=13, make=lambda: with_wall(there(DORMANT)), ends=DORMANT),
@@ -130,7 +132,7 @@ SCENARIOS = [
     Scenario(row=15, make=lambda: in_air(DORMANT, 9.0), ends="merged"),
 ]
 NOTHING = [
-    (TENTATIVE, AGED, lambda: there(TENTATIVE, evidence=2.9, unseen_s=8.0)),
+    (TENTATIVE, AGED, lambda: there(TENTATIVE, observed_s=2.9, unseen_s=8.0)),
     (ACTIVE, JUDGED, lambda: there(ACTIVE)),
     (ACTIVE, LifeEvent.SPACE_FORGOTTEN, lambda: forgotten(with_wall(there(ACTIVE)))),
     (ACTIVE, LifeEvent.SOURCE_ENDED, lambda: there(ACTIVE)),
@@ -156,10 +158,10 @@ def test_a_row_applies_where_its_guards_hold(scenario):
         assert after.shape_state.open_ticket == before.shape_state.open_ticket
         is_change = after.phase is not before.phase
         assert [d.kind for d in state.decisions if d.kind == "phase"] == ["phase"] * is_change
-        doubts = TrackEffect.DOUBT in row.effects
-        assert (after.seen_through, after.existence.evidence) == (
-            before.seen_through + doubts,
-            before.existence.evidence - doubts,
+        doubts_ns = SECOND_NS * (TrackEffect.DOUBT in row.effects)
+        assert (after.seen_through_ns, after.observed_ns) == (
+            before.seen_through_ns + doubts_ns,
+            before.observed_ns - doubts_ns,
         )
         has_less = len(after.cloud.keys) < len(before.cloud.keys)
         assert has_less == (TrackEffect.TRIM in row.effects) == any(d.kind == "trim" for d in state.decisions)
@@ -228,16 +230,16 @@ def test_no_row_is_hidden_by_one_before_it():
 
 
 @given(st.sampled_from([ACTIVE, DORMANT, ARCHIVED]), st.integers(0, 50), st.floats(0, 10_000))
-def test_a_confirmed_track_is_never_lost_by_time_alone(phase, evidence, unseen_s):
-    state = there(phase, evidence=float(evidence), unseen_s=unseen_s)
+def test_a_confirmed_track_is_never_lost_by_time_alone(phase, observed_s, unseen_s):
+    state = there(phase, observed_s=observed_s, unseen_s=unseen_s)
     assert case_of(state).happens(AGED) == []
     assert state.tracks[1].phase in (ACTIVE, DORMANT, ARCHIVED)
 
 
 @given(st.sampled_from(list(Phase)), st.integers(0, 9), st.floats(0, 100), st.floats(0, 100))
-def test_a_track_that_stays_unseen_never_becomes_younger(phase, evidence, first_s, more_s):
+def test_a_track_that_stays_unseen_never_becomes_younger(phase, observed_s, first_s, more_s):
     def after(unseen_s: float) -> Phase | None:
-        state = there(phase, evidence=float(evidence), unseen_s=unseen_s)
+        state = there(phase, observed_s=observed_s, unseen_s=unseen_s)
         case_of(state).happens(AGED)
         return state.tracks[1].phase if 1 in state.tracks else None
 

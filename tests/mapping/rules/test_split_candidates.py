@@ -10,9 +10,10 @@ from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
 from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
-from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, track
+from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive, keyframe, observation, track
 
 CONFIG = TrackSplitConfig()
+PASSED_NS = SECOND_NS // 2
 DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
 SET = box_surface((0.0, 0.0, 1.0), (0.5, 0.2, 0.36))
 
@@ -23,9 +24,9 @@ def cloud(points: NDArray[np.float32]) -> Cloud:
 
 def test_a_part_that_is_seen_apart_often_is_an_object():
     parts = {}
-    for frame in range(4):
+    for frame in range(3):
         assert not any(part.is_object(CONFIG) for part in parts.get(1, ()))
-        parts = with_keyframe(parts, frame, [(1, cloud(SET))], [(1, cloud(DRESSER))])
+        parts = with_keyframe(parts, frame, PASSED_NS, [(1, cloud(SET))], [(1, cloud(DRESSER))])
     assert [part.is_object(CONFIG) for part in parts[1]] == [True]
 
 
@@ -33,24 +34,26 @@ def test_being_seen_as_one_counts_against_it():
     parts = {}
     both = cloud(np.concatenate([DRESSER, SET]))
     for frame in range(6):
-        parts = with_keyframe(parts, 2 * frame, [(1, cloud(SET))], [])
-        parts = with_keyframe(parts, 2 * frame + 1, [], [(1, both)])
-    assert [(len(part.frames), part.together, part.is_object(CONFIG)) for part in parts[1]] == [(6, 6, False)]
+        parts = with_keyframe(parts, 2 * frame, PASSED_NS, [(1, cloud(SET))], [])
+        parts = with_keyframe(parts, 2 * frame + 1, PASSED_NS, [], [(1, both)])
+    (part,) = parts[1]
+    assert (part.sightings, part.apart_ns, part.together_ns) == (6, 6 * PASSED_NS, 6 * PASSED_NS)
+    assert not part.is_object(CONFIG)
 
 
 def test_what_shows_a_part_alone_says_nothing_of_its_host():
-    parts = with_keyframe({}, 0, [(1, cloud(SET))], [])
-    parts = with_keyframe(parts, 1, [], [(1, cloud(SET))])
-    assert [(part.frames, part.together) for part in parts[1]] == [((0,), 0)]
+    parts = with_keyframe({}, 0, PASSED_NS, [(1, cloud(SET))], [])
+    parts = with_keyframe(parts, 1, PASSED_NS, [], [(1, cloud(SET))])
+    assert [(part.frame_index, part.sightings, part.together_ns) for part in parts[1]] == [(0, 1, 0)]
 
 
 def test_parts_at_different_places_are_different_parts():
-    parts = with_keyframe({}, 0, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [])
-    assert [len(part.frames) for part in parts[1]] == [1, 1]
+    parts = with_keyframe({}, 0, PASSED_NS, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [])
+    assert [part.sightings for part in parts[1]] == [1, 1]
 
 
 def test_parts_go_where_their_host_goes():
-    parts = with_keyframe({}, 0, [(2, cloud(SET))], [])
+    parts = with_keyframe({}, 0, PASSED_NS, [(2, cloud(SET))], [])
     assert list(reassigned(parts, 1, 2)) == [1]
 
 
@@ -70,7 +73,7 @@ def test_the_core_keeps_as_one_what_is_seen_as_one():
     both = np.concatenate([DRESSER, SET])
     for i in range(12):
         seen = [observation(0, both)] if i % 2 == 0 else [observation(0, DRESSER), observation(1, SET)]
-        drive(core, [keyframe(i, seen)])
+        drive(core, [keyframe(i, seen, stamp_ns=i * PASSED_NS)])
     assert len(core.snapshot().objects) == 1
 
 

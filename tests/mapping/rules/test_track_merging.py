@@ -34,7 +34,7 @@ pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair
 def vote_books(draw: st.DrawFn) -> VoteBook:
     book = VoteBook()
     for pair in draw(st.lists(pairs, max_size=12)):
-        book = book.plus([pair], together=draw(st.integers(0, 3)), apart=draw(st.integers(0, 3)))
+        book = book.plus([pair], together_ns=draw(st.integers(0, 3)), apart_ns=draw(st.integers(0, 3)))
     return book
 
 
@@ -55,12 +55,12 @@ def test_the_votes_of_a_pair_do_not_depend_on_its_order(book, pair):
 
 @given(vote_books(), pairs, st.integers(0, 3), st.integers(0, 3))
 def test_a_vote_counts_for_its_pair_alone(book, pair, together, apart):
-    after = book.plus([pair], together=together, apart=apart)
+    after = book.plus([pair], together_ns=together, apart_ns=apart)
     for a in range(1, 6):
         for b in range(a + 1, 6):
             more = (together, apart) if {a, b} == set(pair) else (0, 0)
             before = book.of(a, b)
-            assert after.of(a, b) == Votes(before.together + more[0], before.apart + more[1])
+            assert after.of(a, b) == Votes(before.together_ns + more[0], before.apart_ns + more[1])
 
 
 @given(vote_books(), pairs)
@@ -69,7 +69,7 @@ def test_after_a_merge_the_kept_track_has_the_votes_of_both(book, pair):
     after = book.merged(kept, gone)
     for other in set(range(1, 6)) - {kept, gone}:
         mine, theirs = book.of(kept, other), book.of(gone, other)
-        assert after.of(kept, other) == Votes(mine.together + theirs.together, mine.apart + theirs.apart)
+        assert after.of(kept, other) == Votes(mine.together_ns + theirs.together_ns, mine.apart_ns + theirs.apart_ns)
     assert after.of(kept, gone) == Votes()
     assert not any(gone in known for known in after.votes)
 
@@ -112,17 +112,25 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
 
 
 @pytest.mark.parametrize(
-    ("together", "apart", "verdict"),
-    [(2, 0, None), (3, 0, (1, 2)), (3, 2, (1, 2)), (3, 3, None), (3, 9, None), (10, 9, (1, 2)), (0, 0, None)],
+    ("together_s", "apart_s", "verdict"),
+    [
+        (0.7, 0, None),
+        (0.8, 0, (1, 2)),
+        (0.8, 0.7, (1, 2)),
+        (0.8, 0.8, None),
+        (0.8, 3, None),
+        (2.5, 3, (1, 2)),
+        (0, 0, None),
+    ],
 )
-def test_pieces_merge_when_seen_as_one_more_often_than_apart(together, apart, verdict):
-    book = VoteBook().plus([(1, 2)], together=together, apart=apart)
+def test_pieces_merge_when_seen_as_one_more_often_than_apart(together_s, apart_s, verdict):
+    book = VoteBook().plus([(1, 2)], together_ns=round(together_s * SECOND_NS), apart_ns=round(apart_s * SECOND_NS))
     pieces = track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1)))
     assert found(book, *pieces) == verdict
 
 
 def test_votes_of_things_that_do_not_even_touch_weld_nothing():
-    book = VoteBook().plus([(1, 2)], together=50)
+    book = VoteBook().plus([(1, 2)], together_ns=50 * SECOND_NS)
     assert found(book, track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.6, 0, 0.1)))) is None
 
 
@@ -133,8 +141,8 @@ def test_what_was_seen_apart_needs_more_overlap_to_be_one():
     assert DUPLICATE_SHARE < 30 / 50 < 31 / 50 < SURE_SHARE
     sheets = [track(i, (points + VOXEL_M / 2).astype(np.float32)) for i, points in ((1, sheet), (2, shifted))]
     assert found(VoteBook(), *sheets) == (1, 2)
-    assert found(VoteBook().plus([(1, 2)], apart=1), *sheets) is None
-    assert found(VoteBook().plus([(1, 2)], apart=1, together=1), *sheets) == (1, 2)
+    assert found(VoteBook().plus([(1, 2)], apart_ns=1), *sheets) is None
+    assert found(VoteBook().plus([(1, 2)], apart_ns=1, together_ns=1), *sheets) == (1, 2)
 
 
 def test_only_pairs_with_a_changed_track_are_looked_at():
@@ -177,12 +185,12 @@ def test_nothing_is_foreign_where_no_other_track_is():
 def two_tracks() -> tuple[Track, Track]:
     kept = replace(
         track(1, box_surface((0, 0, 0.1)), sightings=4), first_seen_ns=3 * SECOND_NS, last_seen_ns=9 * SECOND_NS,
-        seen_clock_ns=6, coverage=((2, view(3)),), best_view=view(4, score=0.3), merged_ids=(7,), seen_through=2,
+        seen_clock_ns=6, coverage=((2, view(3)),), best_view=view(4, score=0.3), merged_ids=(7,), seen_through_ns=2,
     )  # fmt: skip
     gone = replace(
         track(5, box_surface((0.1, 0, 0.1)), sightings=9, phase=Phase.DORMANT), first_seen_ns=1 * SECOND_NS,
         last_seen_ns=5 * SECOND_NS, seen_clock_ns=2, coverage=((0, view(5)), (2, view(6, r_area=0.9))),
-        best_view=view(6, score=0.5, r_area=0.9), shape=shape(3), merged_ids=(6,), seen_through=1,
+        best_view=view(6, score=0.5, r_area=0.9), shape=shape(3), merged_ids=(6,), seen_through_ns=1,
     )  # fmt: skip
     return kept, gone
 
@@ -192,7 +200,7 @@ def test_a_merged_track_has_the_earliest_and_latest_stamps():
     one = merge(kept, gone, VOXEL_M)
     assert (one.id, one.merged_ids) == (1, (5, 6, 7))
     assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
-    assert (one.seen_clock_ns, one.seen_through) == (6, 1)
+    assert (one.seen_clock_ns, one.seen_through_ns) == (6, 1)
 
 
 def test_a_merged_track_has_the_points_of_both():

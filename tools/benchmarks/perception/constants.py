@@ -33,7 +33,6 @@ NOT_DECIDING = {
     "mapping/shape_requests.py": "when shapes are computed", "mapping/views.py:_SECTORS": "how many views are kept",
     "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/association.py:_TIE": "equality but for rounding",
-    "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
     "mapping/observed_space.py:_HELD": "a mark", "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
     "mapping/track.py:_BOX_POINTS": "how many points are read",
     "mapping/support_relations.py:_SAMPLE": "how many points are read",
@@ -44,7 +43,7 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constant:
-    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/merging.py:_MEET_M`)."""
+    """A number: of the configuration (`mapping.split.min_apart_s`), or of a module (`mapping/merging.py:_MEET_M`)."""
 
     # A module is named by its package and file, without the folders between; `[i]` is the place in a tuple.
 
