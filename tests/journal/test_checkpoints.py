@@ -67,13 +67,13 @@ def test_a_page_is_equal_exactly_without_changes():
     packer = Packer()
     cloud = cloud_of([1, 3, 3, 4])
     tracks = {i: replace(track_of(cloud, cloud), id=i) for i in (1, 31, 32, 99)}
-    votes = VoteBook().plus([(1, 31)], apart=1).plus([(32, 99)], together=2)
+    votes = VoteBook().plus([(1, 31)], apart_ns=1).plus([(32, 99)], together_ns=2)
     before = packer.packed({"tracks": tracks, "votes": votes})
     after = packer.packed(
-        {"tracks": tracks | {31: replace(tracks[31], sightings=9)}, "votes": votes.plus([(1, 31)], apart=1)}
+        {"tracks": tracks | {31: replace(tracks[31], sightings=9)}, "votes": votes.plus([(1, 31)], apart_ns=1)}
     )
     for name in ("tracks", "votes"):
         assert [a is b for a, b in zip(before[name], after[name], strict=True)] == [False, True, True]
     back = unpacked(after)
-    assert back["votes"] == votes.plus([(1, 31)], apart=1)
+    assert back["votes"] == votes.plus([(1, 31)], apart_ns=1)
     assert {i: track.sightings for i, track in back["tracks"].items()} == {1: 5, 31: 9, 32: 5, 99: 5}

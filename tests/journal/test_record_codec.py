@@ -49,7 +49,7 @@ def test_the_factors_of_a_pose_graph_and_its_record_come_back():
 
 
 def test_keys_of_any_kind_sets_and_enums_come_back():
-    book = VoteBook().plus([(1, 2)], together=3, apart=4).plus([(2, 9)], apart=1)
+    book = VoteBook().plus([(1, 2)], together_ns=3, apart_ns=4).plus([(2, 9)], apart_ns=1)
     read = decode(encode((book, {"b", "a"}, Phase.DORMANT, {3: (Phase.ACTIVE,)})))
     assert read == (book, {"a", "b"}, Phase.DORMANT, {3: (Phase.ACTIVE,)})
 

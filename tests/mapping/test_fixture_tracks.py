@@ -13,11 +13,9 @@ from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig, VoteBook, merge, why_one
 from hickory_stream.records import ObjectKind, Phase
-from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
+from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
-CONFIG = MappingConfig(
-    voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_s=2.0, phantom_s=2.0)
-)
+CONFIG = MappingConfig(voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_s=2.0, phantom_s=2.0))
 WALL = box_surface((1.05, 0.0, 1.2), (0.1, 4.0, 2.4))
 PICTURE = box_surface((0.985, 0.0, 1.5), (0.02, 0.6, 0.4))
 BALL = box_surface((0.3, 0.0, 0.1), (0.2, 0.2, 0.2))
@@ -65,7 +63,7 @@ def test_a_fixture_that_is_seen_through_is_gone():
 def test_votes_do_not_join_an_object_and_a_fixture_but_overlap_does():
     graph, config = MapState(submaps=first_submap(0.05)).support_graph(), MergeConfig()
     thing, wall = track(1, PICTURE, sightings=9), replace(track(2, WALL, sightings=9), kind=FIXTURE)
-    book = VoteBook().plus([(1, 2)], together=9)
+    book = VoteBook().plus([(1, 2)], together_ns=9 * SECOND_NS)
     assert why_one(thing, wall, [], book, graph, config) is None
     assert "seen as one" in why_one(thing, replace(wall, kind=thing.kind), [], book, graph, config)
     piece = track(3, WALL[WALL[:, 1] < 0.0], sightings=9)

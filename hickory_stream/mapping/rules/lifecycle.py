@@ -25,7 +25,7 @@ class LifecycleConfig(Ranged):
     """The thresholds of the table and of its guards."""
 
     #: A track that was observed for this long is confirmed.
-    confirm_s: float = number(1.75, 0, 1e9, "s")
+    confirm_s: float = number(1.0, 0, 1e9, "s")
     #: How long an unconfirmed track is kept, so that a second visit can confirm it.
     tentative_s: float = number(60.0, 0, 1e9, "s")
     #: A confirmed track that was not seen for this long becomes dormant.

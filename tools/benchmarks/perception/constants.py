@@ -33,7 +33,7 @@ NOT_DECIDING = {
     "mapping/shape_requests.py": "when shapes are computed", "mapping/views.py:_SECTORS": "how many views are kept",
     "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/association.py:_TIE": "equality but for rounding",
-    "mapping/observed_space.py:_HELD": "a mark", "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
+    "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
     "mapping/track.py:_BOX_POINTS": "how many points are read",
     "mapping/support_relations.py:_SAMPLE": "how many points are read",
 }  # fmt: skip
