@@ -140,7 +140,7 @@ def test_the_manifest_says_what_was_played_and_how(made, short_log):
 
 def test_a_log_in_loops_keeps_the_objects_and_the_size(short_log, coarse_config, tmp_path):
     sink = RememberingSink()
-    no_shapes = ("mapper.mapping.requests.max_failures=0",)
+    no_shapes = ("mapper.mapping.requests.max_failures=0", SHORT)
     source = open_source(short_log)
     play(
         Mapper(read_config(Settings, coarse_config, no_shapes).mapper, out=tmp_path / "map"), source,
@@ -244,6 +244,8 @@ def test_a_log_without_any_depth_ends_with_status_3(blank_log, tmp_path):
 
 
 EAGER = ("--set", "mapper.mapping.requests.first_sightings=2")
+# In a log of three seconds, most is seen for less than the default.
+SHORT = "mapper.mapping.lifecycle.confirm_s=0.5"
 
 
 def test_a_signal_ends_with_status_130_and_a_map_that_opens(short_log, coarse_config, tmp_path):
@@ -432,7 +434,7 @@ def test_a_texture_of_no_possible_side_is_refused(side, capsys):
 
 @pytest.mark.parametrize("form", ["text", "json"])
 def test_a_log_finds_itself_in_its_map_and_stops_there(made, short_log, coarse_config, form):
-    options = ("--config", coarse_config, "--until-found", *(("--json",) if form == "json" else ()))
+    options = ("--config", coarse_config, "--set", SHORT, "--until-found", *(("--json",) if form == "json" else ()))
     ended = look("relocalise", made.by_one, short_log, *options)
     assert ended.status == 0, ended.stderr
     if form == "json":

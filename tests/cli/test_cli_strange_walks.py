@@ -44,8 +44,8 @@ def log_of(
     return folder
 
 
-def play(log: Path, out: Path) -> Ended:
-    return look("play", log, "--out", out, *LAYER_ONE)
+def play(log: Path, out: Path, *options: str) -> Ended:
+    return look("play", log, "--out", out, *LAYER_ONE, *options)
 
 
 def test_a_carried_robot_is_reported_and_starts_a_new_submap(tmp_path, caplog):
@@ -68,7 +68,8 @@ def test_a_lift_is_another_storey_and_stopped_depth_is_counted(tmp_path):
     seen = [*circle, *([circle[-1]] * len(up)), *circle]
     told = [*circle, *(step @ circle[-1] for step in up), *(lifted @ pose for pose in circle)]
     log = log_of(tmp_path / "log", seen, told, SCENE_BOXES, num_depth=len(seen) - 2)
-    ended = play(log, tmp_path / "map")
+    # Two seconds on each storey.
+    ended = play(log, tmp_path / "map", "--set", "mapper.mapping.lifecycle.confirm_s=0.5")
     assert ended.status == 0, ended.stderr
     assert "2 color without depth" in ended.stdout
     inspected = json.loads(look("inspect", tmp_path / "map", "--json").stdout)

@@ -25,7 +25,7 @@ from tests.conftest import COARSE_SHAPES
 from tests.in_process_workers import InProcessWorkers
 
 NUM_FRAMES = 8
-SOON = ("mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5")
+SOON = ("mapping.lifecycle.confirm_s=0.5", "mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5")
 # A worker takes two seconds to start, and there are three shapes.
 FEW = ("run.workers=1",)
 DEFAULT_RUN = RunConfig()

@@ -13,7 +13,7 @@ from hickory_stream.map_folder.history.registration_history import steps_behind
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 
 _PLAIN = {
-    "never confirmed": "seen too seldom, or from one side only",
+    "never confirmed": "seen too briefly",
     "looked through": "later frames show free space there",
     "structure": "part of a floor, a wall or a ceiling",
     "in structure": "a piece of a wall or of furniture as large",

@@ -29,7 +29,7 @@ def test_the_numbers_of_candidates_add_up_with_their_causes(tmp_path):
     causes = {"never confirmed": 2, "looked through": 1, "structure": 1}
     assert found == Candidates(made=7, kept=2, merged=1, dropped=4, causes=causes)
     assert next(iter(found.causes)) == "never confirmed"
-    assert "7 candidates became 2 objects: 1 merged as parts of others, 4 dropped (2 seen too seldom" in found.text()
+    assert "7 candidates became 2 objects: 1 merged as parts of others, 4 dropped (2 seen too briefly" in found.text()
 
 
 def test_candidates_that_a_seek_took_back_do_not_count(tmp_path):
