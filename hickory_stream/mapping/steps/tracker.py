@@ -36,6 +36,8 @@ from hickory_stream.records import Observation
 Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 
+# A look counts no longer than this as a vote, so that one under-segmented keyframe never decides.
+_LOOK_NS = 500_000_000
 # Maximum number of tracks, those with the best IoU, for which one observation counts as oversized.
 _MAX_OVERSIZED = 4
 # An observation's points are not fused where they lie on another track with at least this many sightings.
@@ -157,8 +159,7 @@ class Tracker:
         if on_others.mean() < _FOREIGN_SHARE:
             own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
             track = grown(track, own, sightings, self._config.voxels.object_m)
-            if not match.is_part:
-                track = replace(track, observed_ns=track.observed_ns + since_ns)
+            track = replace(track, observed_ns=track.observed_ns + since_ns)
         state.tracks[track.id] = track
         return tuple(covered)
 
@@ -180,7 +181,7 @@ class Tracker:
         apart = pairs_that_meet(bounds, [sighting.track_id for sighting in whole]) - grouped
         overlap = {pair_of(sighting.track_id, other) for sighting in sightings for other in sighting.covered}
         together = overlap | grouped
-        passed_ns = counted_ns(state.keyframe_ns)
+        passed_ns = min(state.keyframe_ns, _LOOK_NS)
         votes = state.votes.plus(sorted(apart), apart_ns=passed_ns)
         state.votes = votes.plus(sorted(together - apart), together_ns=passed_ns)
 
@@ -194,7 +195,7 @@ class Tracker:
             is_part = sighting.is_part or (sighting.lies_on > 0 and sighting.track_id in taken)
             (apart if is_part else whole).append((sighting.track_id, sighting.cloud))
         state.split_candidates = with_keyframe(
-            state.split_candidates, event.frame_index, counted_ns(state.keyframe_ns), apart, whole
+            state.split_candidates, event.frame_index, min(state.keyframe_ns, _LOOK_NS), apart, whole
         )
 
 
