@@ -57,7 +57,9 @@ def sketched_snapshot() -> MapSnapshot:
     """Return a map whose first object has a sketch, too: no real one has both it and a shape."""
     snapshot = make_snapshot()
     first = snapshot.objects[0]
-    return replace(snapshot, objects=(replace(first, sketch=first.shape.fitted), *snapshot.objects[1:]))
+    return replace(
+        snapshot, objects=(replace(first, sketch=first.shape.fitted, fixture_probability=0.25), *snapshot.objects[1:])
+    )
 
 
 SNAPSHOT = sketched_snapshot()

@@ -11,7 +11,7 @@ from tests.strategies import seeds
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
 
 
-def checks(height: int, width: int, one: tuple[int, int, int], side: int = 5) -> NDArray[np.uint8]:
+def checks(height: int, width: int, one: tuple[int, int, int], side: int = 2) -> NDArray[np.uint8]:
     v, u = np.mgrid[:height, :width] // side
     return np.where(((u + v) % 2 == 0)[..., None], one, WHITE).astype(np.uint8)
 
@@ -42,7 +42,7 @@ def test_a_shadow_divides_nothing():
 
 def test_a_speck_divides_nothing():
     rgb = np.full((60, 40, 3), WHITE, dtype=np.uint8)
-    rgb[10:14, 10:14] = RED
+    rgb[10:12, 10:12] = RED
     assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
 
 

@@ -83,9 +83,9 @@ def structure_near(snapshot, x, y):
 
 
 def test_a_person_is_forgotten_once_the_place_is_seen_through():
-    maps = played([(0.0, -0.6)] * 4 + [None] * 7)
+    maps = played([(0.0, -0.6)] * 6 + [None] * 7)
     # Who stands is, from one side, an upright slab from the floor to above one's waist: taken for a piece of wall.
-    assert objects_near(maps[3], 0.0, -0.6) or structure_near(maps[3], 0.0, -0.6) > 20
+    assert objects_near(maps[5], 0.0, -0.6) or structure_near(maps[5], 0.0, -0.6) > 20
     after = maps[-1]
     assert not objects_near(after, 0.0, -0.6)
     assert structure_near(after, 0.0, -0.6) == 0

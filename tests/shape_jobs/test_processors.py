@@ -29,5 +29,5 @@ def test_a_processor_with_other_arithmetic_makes_the_same_map(tmp_path):
     here, there = sampled({}), sampled(_OTHER.environment)
     if not any(a != b for a, b in zip(here, there, strict=True)):
         pytest.skip("this processor has none of what is taken from it")
-    digests = {digest_on(variant, tmp_path / f"{n}", frames=6) for n, variant in enumerate((variants()[0], _OTHER))}
+    digests = {digest_on(variant, tmp_path / f"{n}", frames=12) for n, variant in enumerate((variants()[0], _OTHER))}
     assert len(digests) == 1

@@ -15,7 +15,7 @@ from hickory_stream.mapping.entities.track import Track
 from hickory_stream.records import DropCause, Phase
 
 # Errors of a segmenter repeat from frame to frame: how long a track was observed says whether it is an object, and the
-# number of its sightings nothing beyond that (rates of 780 tracks at 4, 2 and 1.3 keyframes a second). Time without a
+# number of its sightings nothing beyond that (rates of 917 tracks at 4, 2 and 1.3 keyframes a second). Time without a
 # sighting counts up to this.
 LONGEST_NS = 1_000_000_000
 

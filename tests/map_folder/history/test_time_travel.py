@@ -94,14 +94,15 @@ def test_lazily_read_arrays_give_the_same_bytes(watched):
 
 def test_damage_to_an_array_is_reported_when_it_is_read(watched, tmp_path):
     chunks = JournalChunks(watched.run.folder.path)
-    place = next(place for place in reversed(chunks.places) if place.channel == ARRAYS)
+    # Before there are shapes and sketches, all arrays may be read later.
+    place = next(place for place in chunks.places if place.channel == ARRAYS)
     data = bytearray(chunks.path.read_bytes())
     data[(place.start + place.end) // 2] ^= 0xFF
     (tmp_path / JOURNAL).write_bytes(data)
     with Journal(tmp_path) as journal:
         with pytest.raises(MapFolderError, match="is damaged"):
-            journal.checkpoint_before(len(journal) - 1)
-        later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
+            journal.checkpoint_before(2)
+        later = journal.checkpoint_before(2, reads_later=True)
         assert later is not None
         with pytest.raises(MapFolderError, match="is damaged"):
             encode(later[1].core)
