@@ -85,7 +85,7 @@ perception.geometric.structure.raised_patches window_px=5 least_m=0.009 sigmas=3
     reach_px=12 min_border_share=0.3 min_border_px=2
 perception.geometric.structure.ground cell_m=0.2 level_m2=1.5 gap_m=1 off_plane_m=0.05 off_plane_m2=1
 perception.geometric.fragments step_m=0.008 gap_share=0.025 crease_rad=0.45 crease_reach_px=2 min_pixels=12
-perception.geometric.color_split window_px=5 lightness=0.75 min_step=12 min_separation=0.7 min_pixels=16 depth=2
+perception.geometric.color_split window_px=5 lightness=0.5 min_step=12 min_separation=0.7 min_pixels=16 depth=2
 perception.geometric.join rounds=12 reach_px=3 gap_m=0.2
 perception.geometric.join.bridging gap_m=0.5 tolerance_m=0.006 min_lines=4 min_share=0.12 other_lines=2
 perception.geometric.join.map_prior min_sightings=4 min_share=0.5

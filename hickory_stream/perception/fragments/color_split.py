@@ -16,7 +16,7 @@ from hickory_stream.geometry import portable
 # Side of the averaging windows.
 _WINDOW_PX = 5
 # Weight of lightness relative to chroma; below 1, since shadows change lightness.
-_LIGHTNESS = 0.75
+_LIGHTNESS = 0.5
 # Minimum CIE Lab distance between the two mean colours.
 _MIN_STEP = 12.0
 # Minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
