@@ -189,7 +189,7 @@ def score_of(
     ignored_ids = {item.id for item in ignored}
     aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
     aside |= {match.map_index for match in _matches(_best_ious(ignored, boxes), LOOSE_IOU)}
-    fixtures = {tracked.id for tracked in objects if is_fixture(tracked)}
+    fixtures = {tracked.id for tracked in objects if tracked.is_fixture}
     other = {i for i, one in enumerate(objects) if one.id in fixtures} - aside - {match.map_index for match in loose}
     structure = {i for i in other if is_structure(objects[i])}
     of_truth = {counting[match.truth_index].id: (objects[match.map_index].id, match.iou) for match in loose}
@@ -230,11 +230,6 @@ def score_of(
         fixture_share=_share(row.is_fixture for row in counted if row.map_id is not None),
         generated_share=sum(map(generated_m2, shapes)) / sum(map(area_m2, shapes)) if shapes else None,
     )
-
-
-def is_fixture(tracked: TrackedObject) -> bool:
-    """Return whether a mapped object is of the kind `fixture`."""
-    return bool(getattr(tracked, "kind", "object") == "fixture")
 
 
 def _share(are: Iterable[bool]) -> float | None:

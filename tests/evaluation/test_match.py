@@ -1,4 +1,4 @@
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 import numpy as np
@@ -12,7 +12,7 @@ from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh, write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.records import MapSnapshot, Phase, TrackedObject
+from hickory_stream.records import MapSnapshot, ObjectKind, Phase, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
 
 SIDES = (0.5, 0.4, 0.6)
@@ -129,10 +129,7 @@ def test_an_object_on_nothing_is_stray_unless_tentative(tmp_path):
 
 
 def as_fixture(tracked):
-    if hasattr(tracked, "kind"):
-        return replace(tracked, kind="fixture")
-    kind = type("Fixture", (TrackedObject,), {"kind": "fixture"})
-    return kind(**{one.name: getattr(tracked, one.name) for one in fields(tracked)})
+    return replace(tracked, kind=ObjectKind.FIXTURE)
 
 
 def test_a_fixture_is_a_thing_or_structure_or_false(tmp_path):
