@@ -48,7 +48,7 @@ class FrameObserved:
     #: (K, 6), of the frame.
     degenerate: NDArray[np.float64] = field(default_factory=no_directions)
     #: Of the depth's standard deviation; by default no return is worth more than another.
-    depth_law: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    depth_law: tuple[float, float, float] = (2.0**-7, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", float, (4, 4))

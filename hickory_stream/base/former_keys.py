@@ -18,6 +18,7 @@ _GEOMETRY = "geometry decides what is structure"
 _KINDS = "what is large, or a part of the room, is a fixture of the map"
 _EXISTENCE = "new_view_gain same_view_gain min_gain fresh again least apart_rad apart_ratio full_sr".split()
 _TIME = "time of observation counts now, by"
+_SENSOR = "set sensor.max_m"
 _SEEN = "what is filled follows from what was seen around it"
 
 FORMER_KEYS = {
@@ -35,6 +36,11 @@ FORMER_KEYS = {
     "mapping.merge.min_votes": f"{_TIME} mapping.merge.min_together_s",
     "mapping.merge.sure_votes": f"{_TIME} mapping.merge.min_together_s",
     "mapping.split.min_apart": f"{_TIME} mapping.split.min_apart_s",
+    "perception.geometric.surface.max_depth_m": _SENSOR,
+    "perception.observe.max_depth_m": _SENSOR,
+    "perception.space.max_depth_m": "free space reaches as far as depth is sure to a voxel",
+    "perception.observe.max_box_m": _KINDS,
+    "perception.geometric.max_extent_m": _KINDS,
     "registration.way_share": "set registration.drift_share",
     "graph.way_noise": "set graph.path_noise",
     "shapes.judgement.most_less": "set shapes.judgement.max_less",

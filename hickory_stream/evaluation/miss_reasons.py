@@ -132,7 +132,7 @@ def state_of(sighting: Sighting) -> State:
     shares: dict[State, float] = {
         "taken for structure": sighting.share("structure"),
         "mask rejected": sighting.share("rejected mask"),
-        "outside the depth range": sighting.share("too near", "too far"),
+        "outside the depth range": sighting.share("too near"),
         "without depth": sighting.share("no depth"),
         "in no mask": sighting.share("no mask"),
     }

@@ -15,7 +15,7 @@ from hickory_stream.inspection.keyframe_labels import (
     SeenAs,
     Where,
     area_px,
-    range_of,
+    nearest_m_of,
     seen_as,
 )
 from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorded_steps
@@ -90,7 +90,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
 
     Raises `MapFolderError` for the journal, `RecordingError` for an image of the truth.
     """
-    reach = range_of(known_config(path))
+    nearest_m = nearest_m_of(known_config(path))
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
@@ -107,7 +107,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         if at is None:
             continue
         shown = _shown(truth, at, found)
-        labels = seen_as(keyframe, reach)
+        labels = seen_as(keyframe, nearest_m)
         codes = np.asarray(labels.codes)
         camera_from_map = invert(keyframe.map_from_odometry @ keyframe.observed.world_from_camera)
         table = _table(shown, codes)

@@ -68,6 +68,13 @@ class DepthSensor(Ranged):
         sigma = self.spread_per_m * depth_m * depth_m + self.noise_m
         return np.maximum(sigma, np.float32(self.floor_m)).astype(np.float32)
 
+    def reach_m(self, sigma_m: float) -> float:
+        """Return the depth up to which the standard deviation is at most `sigma_m`."""
+        left = sigma_m - self.noise_m
+        if left <= 0 or sigma_m < self.floor_m:
+            return 0.0
+        return min(self.max_m, float(np.sqrt(left / self.spread_per_m))) if self.spread_per_m > 0 else self.max_m
+
     def edge_px(self, focal_px: float) -> int:
         """Return the pixels beside a step of depth within which returns may be of either side."""
         return round(self.edge_rad * focal_px)

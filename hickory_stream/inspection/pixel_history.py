@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera, project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.inspection.keyframe_labels import code_at, range_of, rays_of
+from hickory_stream.inspection.keyframe_labels import code_at, nearest_m_of, rays_of
 from hickory_stream.inspection.point_history import AskedPixel, PlaceStory, story_of_point
 from hickory_stream.inspection.point_sighting import meaning_of_code
 from hickory_stream.map_folder.history.recorded import (
@@ -107,7 +107,7 @@ def _story_of_keyframe_pixel(
             keyframe = seen
     assert keyframe is not None
     check_pixel(pixel, keyframe.camera)
-    code = code_at(keyframe, pixel, range_of(config))
+    code = code_at(keyframe, pixel, nearest_m_of(config))
     _, _, text = meaning_of_code(keyframe, code, book)
     asked = AskedPixel(frame=frame, pixel=pixel, text=text)
     point = place_in_keyframe(keyframe, pixel, code)

@@ -23,7 +23,6 @@ _IN_WORDS: dict[PlaceWhere, str] = {
     "structure": "taken for structure",
     "no depth": "no depth",
     "too near": "too near",
-    "too far": "too far",
     "no mask": "in no mask",
     "hidden": "hidden",
     "looked through": "looked through",

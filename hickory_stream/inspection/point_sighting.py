@@ -15,7 +15,7 @@ from hickory_stream.inspection.keyframe_labels import (
     STRUCTURE,
     Where,
     code_at,
-    range_of,
+    nearest_m_of,
     where_of,
 )
 from hickory_stream.perception.coarse import cells_of
@@ -107,7 +107,7 @@ def _taken_for(
     index = _nearest_observation(observed.observations, point, min(noise_m, 2 * AT_M))
     if index is not None:
         return "mask", index, _mask_text(keyframe, index, book)
-    code = code_at(keyframe, pixel, range_of(config))
+    code = code_at(keyframe, pixel, nearest_m_of(config))
     where, seen_there = where_of(code, len(observed.observations)), meaning_of_code(keyframe, code, book)
     measured_m = float(cells_of(keyframe.coarse, np.array([pixel]).round())[0][0])
     if not np.isfinite(measured_m):

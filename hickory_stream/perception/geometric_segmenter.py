@@ -19,7 +19,7 @@ from hickory_stream.perception.fragments.over_segmentation import (
     fragments_of,
     support_labels,
 )
-from hickory_stream.perception.masks import enlarged, enlarged_mask, label_boxes, occluded_shares, why_no_object
+from hickory_stream.perception.masks import enlarged, enlarged_mask, label_boxes, occluded_shares
 from hickory_stream.perception.regions.join import JoinConfig, Joined, join_fragments
 from hickory_stream.perception.regions.map_prior import fragment_owners
 from hickory_stream.perception.regions.trees import Trees, embedded_trees
@@ -48,8 +48,6 @@ class GeometricConfig(Ranged):
     join: JoinConfig = field(default_factory=JoinConfig)
     #: Masks with fewer working pixels are rejected.
     min_area_px: int = number(16, 1, 1_000_000, "px")
-    #: Longer masks are rejected as structure.
-    max_extent_m: float = number(4.0, 0.01, 1000, "m")
 
 
 class GeometricSegmenter:
@@ -156,7 +154,7 @@ def _why_not(
         return f"{100 * side_m:.1f} cm in a square, less than {_MIN_SIDE_SIGMAS:g} sigmas of depth"
     if occluded > _OCCLUDED_SHARE and pixels < _OCCLUDED_AREA_PX:
         return f"{occluded:.0%} of the outline is occluded by nearer surfaces"
-    return why_no_object(surface, labels, label, box, config.max_extent_m)
+    return None
 
 
 def _side_and_sigma_m(

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import information, sigma_at
@@ -31,6 +30,8 @@ MILLIMETRE, MOST_MM = np.float32(0.001), 65535
 _AGREE_SIGMAS = 3.0
 # A return needs at least this many of its 24 neighbours within those sigmas of its depth.
 _MIN_NEIGHBORS = 5
+# The noise of a return is estimated from so many pixels to each side.
+_SMOOTH_PX = 2
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
@@ -44,14 +45,6 @@ class ObserveConfig(Ranged):
 
     #: Nearer returns are not reliable.
     min_depth_m: float = number(0.2, 0, 100, "m")
-    #: Farther returns are not reliable.
-    max_depth_m: float = number(5.0, 0.1, 1000, "m")
-    #: Maximum side of an object's box.
-    max_box_m: float = number(4.0, 0.01, 1000, "m")
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-        check_order(self, "min_depth_m", "max_depth_m")
 
 
 def observe(
@@ -112,7 +105,7 @@ def _lift(
     # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
-    depth = frame.depth_m[y0:y1, x0:x1]
+    depth = _without_noise(frame.depth_m[y0:y1, x0:x1], mask, frame.sensor.law, _SMOOTH_PX)
     points, colors, depth_mm, is_whole, num_reliable = _returns(
         depth,
         frame.rgb[y0:y1, x0:x1],
@@ -120,7 +113,6 @@ def _lift(
         _with_support(depth, _agreeing(depth, mask, frame), frame.sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS),
         *rays_of(camera),
         np.float32(config.min_depth_m),
-        np.float32(config.max_depth_m),
     )
     if len(points) == 0:
         return "no reliable depth in the mask"
@@ -130,9 +122,6 @@ def _lift(
     if len(points) < _MIN_POINTS:
         return f"{len(points)} points, fewer than {_MIN_POINTS}"
     inliers = points[without_outliers(points)]
-    size_m = float(extent_of(inliers).max())
-    if size_m > config.max_box_m:
-        return f"{size_m:.1f} m long: no object"
     checksum = checksum_of(points, frame.world_from_camera)
     returns = Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum) if is_whole else None
     share = float(num_reliable / np.count_nonzero(mask))
@@ -199,7 +188,7 @@ def checksum_of(points: NDArray[np.float32], world_from_camera: NDArray[np.float
 
 
 @kernel
-def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
+def _returns(depth, rgb, mask, inner, u, v, nearest):
     # (N, 3) camera-frame points and colours of reliable depth in `inner`; (h, w) depth in millimetres, 0 elsewhere;
     # whether all is in whole ones; the number in `mask`. `u` (w,) and `v` (h,): `rays_of`.
     height, width = mask.shape
@@ -209,7 +198,7 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
     for y in range(height):
         for x in range(width):
             z = depth[y, x]
-            if mask[y, x] and nearest <= z <= farthest:
+            if mask[y, x] and z >= nearest:
                 num_reliable += 1
                 if inner[y, x]:
                     points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z
@@ -276,6 +265,34 @@ def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame)
     for _ in range(edge_px):
         inner = _with_agreeing(depth, mask, inner, law, _AGREE_SIGMAS)
     return inner
+
+
+@kernel
+def _without_noise(depth, mask, law, reach):
+    # The local filter of Lee (1980) in inverse depth, in whole millimetres: where neighbours in the mask vary by no
+    # more than noise they are averaged; a step of depth stays. A plane is linear in inverse depth and stays one.
+    height, width = mask.shape
+    out = depth.copy()
+    for y in range(height):
+        for x in range(width):
+            z = np.float64(depth[y, x])
+            if not mask[y, x] or not z > 0.0:
+                continue
+            own = 1.0 / z
+            count, total, squares = 0, 0.0, 0.0
+            for yy in range(max(0, y - reach), min(height, y + reach + 1)):
+                for xx in range(max(0, x - reach), min(width, x + reach + 1)):
+                    other = np.float64(depth[yy, xx])
+                    if mask[yy, xx] and other > 0.0:
+                        away = 1.0 / other - own
+                        count, total, squares = count + 1, total + away, squares + away * away
+            mean = total / count
+            variance = squares / count - mean * mean
+            noise = (sigma_at(z, law) / (z * z)) ** 2
+            if variance > 0.0:
+                kept = max(variance - noise, 0.0) / variance
+                out[y, x] = np.float32(np.rint(1000.0 / (own + mean * (1.0 - kept)))) * MILLIMETRE
+    return out
 
 
 @kernel

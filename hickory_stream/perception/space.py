@@ -21,6 +21,9 @@ from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_po
 from hickory_stream.perception.coarse import sampled_camera, sampled_pixels
 from hickory_stream.records import Frame, Segmentation, SpaceObservation
 
+# A return whose depth has a larger standard deviation than this many voxels is ignored.
+_MOST_SIGMA = 1.25
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpaceConfig(Ranged):
@@ -28,8 +31,6 @@ class SpaceConfig(Ranged):
 
     #: Stride of the rays in pixels, in both directions.
     stride_px: int = number(6, 1, 1000, "px")
-    #: Farther returns are ignored.
-    max_depth_m: float = number(5.0, 0.1, 1000, "m")
 
 
 def observe_space(
@@ -40,7 +41,7 @@ def observe_space(
     free_keys: NDArray[np.int64] | None = None,
 ) -> SpaceObservation:
     """Return the free and structure voxels of a frame; `free_keys`: the result of `free_space`, if it was called."""
-    points, valid, pixels = _rays(frame, config)
+    points, valid, pixels = _rays(frame, config, _reach_m(frame, lattice))
     structure = segmentation.own_structure[pixels][valid]
     on_structure = sorted_unique(keys_of_points(points[structure], lattice.space_m))
     return SpaceObservation(
@@ -53,25 +54,32 @@ def observe_space(
 
 def free_space(frame: Frame, config: SpaceConfig, lattice: Lattice) -> NDArray[np.int64]:
     """Return the sorted keys of the free voxels of a frame; structure does not matter."""
-    points, _, _ = _rays(frame, config)
+    reach_m = _reach_m(frame, lattice)
+    points, _, _ = _rays(frame, config, reach_m)
     origin = frame.world_from_camera[:3, 3].astype(np.float64)
-    return _free_keys(origin, points, _dense_returns(frame, config), lattice.space_m)
+    return _free_keys(origin, points, _dense_returns(frame, config, reach_m), lattice.space_m)
 
 
-def _rays(frame: Frame, config: SpaceConfig) -> tuple[NDArray[np.float64], NDArray[np.bool_], tuple[slice, slice]]:
+def _reach_m(frame: Frame, lattice: Lattice) -> float:
+    return frame.sensor.reach_m(_MOST_SIGMA * lattice.space_m)
+
+
+def _rays(
+    frame: Frame, config: SpaceConfig, reach_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], tuple[slice, slice]]:
     # (N, 3) where the rays end in the world, (h, w) which of them have an end, and their pixels (h, w).
     pixels = sampled_pixels(frame.depth_m.shape, config.stride_px)
     depth, camera = frame.depth_m[pixels], sampled_camera(frame.camera, config.stride_px)
-    valid = np.isfinite(depth) & (depth < config.max_depth_m)
+    valid = np.isfinite(depth) & (depth < reach_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
     return points, valid, pixels
 
 
-def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
+def _dense_returns(frame: Frame, config: SpaceConfig, reach_m: float) -> NDArray[np.float64]:
     # At half the stride: rays beside a pole must not free its voxels.
     step = max(1, config.stride_px // 2)
     camera = frame.camera
-    points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, config.max_depth_m)
+    points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, reach_m)
     return apply(frame.world_from_camera, points)
 
 

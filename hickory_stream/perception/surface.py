@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply, compose, invert
@@ -29,14 +29,8 @@ class SurfaceConfig(Ranged):
 
     #: Width at which frames are segmented; larger frames are reduced by a whole factor.
     width_px: int = number(320, 32, 8192, "px")
-    #: Farther returns are ignored.
-    max_depth_m: float = number(6.0, 0.1, 1000, "m")
     #: Nearer returns are ignored.
     min_depth_m: float = number(0.2, 0, 100, "m")
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-        check_order(self, "min_depth_m", "max_depth_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -69,7 +63,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         cx=(frame.camera.cx + 0.5) / factor - 0.5,
         cy=(frame.camera.cy + 0.5) / factor - 0.5,
     )
-    depth = _reduce_depth(frame.depth_m, factor, height, width, config.min_depth_m, config.max_depth_m)
+    depth = _reduce_depth(frame.depth_m, factor, height, width, config.min_depth_m)
     depth = _without_flying_pixels(depth)
     rgb = frame.rgb[: height * factor, : width * factor]
     if factor > 1:
@@ -106,12 +100,11 @@ def moved_surface(surface: Surface, world_from_camera: NDArray[np.float64]) -> S
 
 
 def _reduce_depth(
-    depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float, farthest_m: float
+    depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float
 ) -> NDArray[np.float32]:
     # The lower median of valid depths of a block is a measured depth, and thin objects survive.
     depth = depth[: height * factor, : width * factor]
-    is_valid = (depth >= np.float64(nearest_m)) & (depth <= np.float64(farthest_m))
-    depth = np.where(is_valid, depth, np.float32(np.inf))
+    depth = np.where(depth >= np.float64(nearest_m), depth, np.float32(np.inf))
     if factor == 2:
         a, b, c, d = (depth[i // 2 :: 2, i % 2 :: 2] for i in range(4))
         lows, highs = (np.minimum(a, b), np.minimum(c, d)), (np.maximum(a, b), np.maximum(c, d))

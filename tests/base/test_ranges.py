@@ -98,11 +98,7 @@ def test_no_way_leads_around_the_range_of_the_safety_margin(value, tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value", "told"),
-    [
-        ("mapper.perception.geometric.surface.min_depth_m", "7", "expected at most max_depth_m, 6.0"),
-        ("mapper.perception.observe.min_depth_m", "7", "expected at most max_depth_m, 5.0"),
-        ("mapper.shapes.fused.volume.max_voxel_m", "0.001", "expected at most max_voxel_m, 0.001"),
-    ],
+    [("mapper.shapes.fused.volume.max_voxel_m", "0.001", "expected at most max_voxel_m, 0.001")],
 )
 def test_the_lower_end_of_a_pair_does_not_exceed_the_upper_one(key, value, told):
     with pytest.raises(ConfigError, match=told):

@@ -64,10 +64,10 @@ def test_votes_do_not_join_an_object_and_a_fixture_but_overlap_does():
     graph, config = MapState(submaps=first_submap(0.05)).support_graph(), MergeConfig()
     thing, wall = track(1, PICTURE, sightings=9), replace(track(2, WALL, sightings=9), kind=FIXTURE)
     book = VoteBook().plus([(1, 2)], together_ns=9 * SECOND_NS)
-    assert why_one(thing, wall, [], book, graph, config) is None
-    assert "seen as one" in why_one(thing, replace(wall, kind=thing.kind), [], book, graph, config)
+    assert why_one(thing, wall, [], book, graph, 0.01, config) is None
+    assert "seen as one" in why_one(thing, replace(wall, kind=thing.kind), [], book, graph, 0.01, config)
     piece = track(3, WALL[WALL[:, 1] < 0.0], sightings=9)
-    assert "lies on the larger, fixture" in why_one(piece, wall, [], VoteBook(), graph, config)
+    assert "lies on the larger, fixture" in why_one(piece, wall, [], VoteBook(), graph, 0.01, config)
     # Its kind is judged again.
     assert merge(wall, piece, VOXEL_M).judged_points == 0
 

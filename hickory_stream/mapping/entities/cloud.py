@@ -23,11 +23,22 @@ from hickory_stream.geometry.flush import Plane
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.lazy_arrays import Keep, compressed, in_memory, restored
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import are_near, coarse_keys, contains, keys_of_points, places, sorted_unique
+from hickory_stream.geometry.voxels import (
+    are_near,
+    cells_of_keys,
+    coarse_keys,
+    contains,
+    keys_of_cells,
+    keys_of_points,
+    places,
+    sorted_unique,
+)
 
 NAMES = ("keys", "points", "colors", "hits", "weights")
 
 _NO_WEIGHTS = np.empty(0, np.float32)
+# A depth of which nothing is known is sure to 2^-7 m, 8 mm.
+_WEIGHT = np.float32(2**14)
 _lock = RLock()
 _cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
 
@@ -137,7 +148,7 @@ NO_PLANE = (0.0,) * 5
 class Cloud:
     """Sorted voxel `keys` (N,), mean `points` on lattice steps and `colors` (N, 3), and frames per voxel `hits`.
 
-    `weights` (N,): the sums of 1 / sigma^2 of the frames' depth; without them each frame counts 1. `behind`: sums over
+    `weights` (N,): the sums of 1 / sigma^2 of the frames' depth; without them depth is sure to 8 mm. `behind`: sums over
     frames of the plane that the surface is flush with, normal and offset times weight, and of the weights.
     """
 
@@ -150,7 +161,7 @@ class Cloud:
 
     def __post_init__(self) -> None:
         if self.weights is _NO_WEIGHTS:
-            object.__setattr__(self, "weights", self.hits.astype(np.float32))
+            object.__setattr__(self, "weights", self.hits.astype(np.float32) * _WEIGHT)
 
     def __len__(self) -> int:
         return _count_of(self)
@@ -168,7 +179,7 @@ def cloud_of(
     behind: Plane | None = None,
 ) -> Cloud:
     """Return the cloud of one frame's points; `behind` is the plane that they are flush with."""
-    weights = np.ones(len(points), np.float32) if weights is None else weights
+    weights = np.full(len(points), _WEIGHT) if weights is None else weights
     keys, hits = keys_of_points(points, voxel_m), np.ones(len(points), np.int32)
     total = float(weights.sum(dtype=np.float64))
     x, y, z, offset = (value * total for value in behind or NO_PLANE[:4])
@@ -278,9 +289,24 @@ def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:
     return are_near(cloud.keys, keys)
 
 
-def share_near(keys: NDArray[np.int64], cloud: Cloud) -> float:
-    """Return the share of voxels that lie on a cloud, from an even sample of about 400 voxels."""
-    return float(is_near(keys[:: max(1, len(keys) // 400)], cloud).mean()) if len(keys) else 0.0
+def share_near(keys: NDArray[np.int64], cloud: Cloud, halvings: int = 0) -> float:
+    """Return the share of voxels that lie on a cloud, from an even sample of about 400 voxels.
+
+    Both are compared in cells of 2^halvings voxels a side.
+    """
+    if len(keys) == 0:
+        return 0.0
+    some, there = keys[:: max(1, len(keys) // 400)], cloud.keys
+    if halvings > 0:
+        some, there = (keys_of_cells(cells_of_keys(own) >> halvings) for own in (some, there))
+        there = sorted_unique(there)
+    return float(are_near(there, some).mean())
+
+
+def sigma_of(cloud: Cloud) -> float:
+    """Return the median standard deviation of depth in a single frame, in metres, from about 400 voxels."""
+    step = max(1, len(cloud.keys) // 400)
+    return float(np.median(np.sqrt(cloud.hits[::step] / cloud.weights[::step])))
 
 
 @kernel

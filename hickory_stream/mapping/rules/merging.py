@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.mapping.entities.cloud import Cloud, fuse, is_near, share_near
+from hickory_stream.mapping.entities.cloud import Cloud, fuse, is_near, share_near, sigma_of
 from hickory_stream.mapping.entities.track import Track, with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import better, covers_better
@@ -36,6 +36,8 @@ _COVERS_SHARE = 0.3
 # over-segment objects more often than distant ones under-segment them.
 _SURE_NS = 1_500_000_000
 _SURE_RATIO = 0.7
+# Clouds are compared in cells of this many standard deviations of their depth, and not finer.
+_CELL_SIGMAS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -173,7 +175,7 @@ def points_on_others(cloud: Cloud, own: Track, others: Iterable[Track]) -> tuple
 
 
 def find_pair(
-    tracks: TrackTable, changed: Iterable[int], book: VoteBook, graph: SupportGraph, config: MergeConfig
+    tracks: TrackTable, changed: Iterable[int], book: VoteBook, graph: SupportGraph, voxel_m: float, config: MergeConfig
 ) -> tuple[int, int, str] | None:
     """Return (kept id, gone id, reason) of the first pair of tracks to merge, None if there is none."""
     for i in sorted(changed):
@@ -181,7 +183,7 @@ def find_pair(
             continue
         near = tracks.touching(tracks[i].bounds, _FOOT_GAP_M)
         for other in near:
-            if other.id != i and (reason := why_one(tracks[i], other, near, book, graph, config)) is not None:
+            if other.id != i and (reason := why_one(tracks[i], other, near, book, graph, voxel_m, config)) is not None:
                 return min(i, other.id), max(i, other.id), reason
     return None
 
@@ -226,11 +228,9 @@ def _phase_after(kept: Track, gone: Track) -> Phase:
 
 
 def why_one(
-    a: Track, b: Track, near: Sequence[Track], book: VoteBook, graph: SupportGraph, config: MergeConfig
+    a: Track, b: Track, near: Sequence[Track], book: VoteBook, graph: SupportGraph, voxel_m: float, config: MergeConfig
 ) -> str | None:
     """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
-    if a.kind is not b.kind:
-        return _why_one_kind(a, b)
     least_ns = 1e9 * config.min_together_s
     is_known = min(a.observed_ns, b.observed_ns) >= least_ns
     # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
@@ -239,26 +239,35 @@ def why_one(
     # The boxes of touching tracks intersect, given a few centimetres of slack.
     if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
-    votes = book.of(a.id, b.id)
-    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
-    if often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns):
-        return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
-    small, large = (a.solid, b.solid) if len(a.solid.keys) <= len(b.solid.keys) else (b.solid, a.solid)
-    share = share_near(small.keys, large)
-    limit = SURE_SHARE if votes.apart_ns > votes.together_ns else DUPLICATE_SHARE
-    if share >= limit:
-        return f"{share:.0%} of the smaller cloud lies on the larger one"
+    reason = _why_one_thing(a, b, book.of(a.id, b.id), voxel_m, least_ns)
+    if reason is not None:
+        return reason
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
     if is_known and not less.is_promoted and (part := graph.part_of(less, more, near)) is not None:
         return part.reason
     return None
 
 
-def _why_one_kind(a: Track, b: Track) -> str | None:
-    # An object and a fixture are one if the smaller is a side of the larger, e.g. the front of a wardrobe: frames that
-    # see a picture and its wall as one do not make them so.
+def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:
     small, large = (a, b) if len(a.solid.keys) <= len(b.solid.keys) else (b, a)
-    if intersection_volume_m3(small.box, large.box, 0.03) <= 0.0:
-        return None
     share = share_near(small.solid.keys, large.solid)
-    return None if share < SURE_SHARE else f"{share:.0%} of the smaller, {small.kind}, lies on the larger, {large.kind}"
+    if a.kind is not b.kind:
+        # An object and a fixture are one if the smaller is a side of the larger, e.g. the front of a wardrobe: frames
+        # that see a picture and its wall as one do not make them so.
+        same = f"{share:.0%} of the smaller, {small.kind}, lies on the larger, {large.kind}"
+        return None if share < SURE_SHARE else same
+    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
+    if often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns):
+        return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
+    if share >= (SURE_SHARE if votes.apart_ns > votes.together_ns else DUPLICATE_SHARE):
+        return f"{share:.0%} of the smaller cloud lies on the larger one"
+    # From far away a thing is spread along the rays, and its near views lie within that: two tracks of one thing.
+    finest_m = max(sigma_of(a.solid), sigma_of(b.solid)) * _CELL_SIGMAS
+    if votes.apart_ns > 0 or finest_m < 2 * voxel_m:
+        return None
+    share = share_near(small.solid.keys, large.solid, halvings=int(finest_m / voxel_m).bit_length() - 1)
+    return (
+        f"{share:.0%} of the smaller cloud lies on the larger one, to within noise"
+        if share >= DUPLICATE_SHARE
+        else None
+    )

@@ -86,8 +86,8 @@ class Tracker:
         if self.is_external:
             return []
         effects: list[Effect] = []
-        graph = state.support_graph()
-        while (pair := find_pair(state.tracks, changed, state.votes, graph, self._config.merge)) is not None:
+        graph, voxel_m, config = state.support_graph(), self._config.voxels.object_m, self._config.merge
+        while (pair := find_pair(state.tracks, changed, state.votes, graph, voxel_m, config)) is not None:
             kept_id, gone_id, reason = pair
             effects += unite(state, kept_id, gone_id, reason, self._config)
             changed = (changed - {gone_id}) | {kept_id}
@@ -266,7 +266,7 @@ def _split_off(
     near = [track for track in state.tracks.touching(new.bounds) if track.id != host_id]
     graph = state.support_graph()
     is_part = graph.still_part_of(small, large, near, inside=_PART_INSIDE, max_volume=_PART_VOLUME)
-    if is_part is not None or why_one(left, new, near, votes, graph, config.merge) is not None:
+    if is_part is not None or why_one(left, new, near, votes, graph, voxel_m, config.merge) is not None:
         return None
     state.next_id += 1
     state.votes = votes

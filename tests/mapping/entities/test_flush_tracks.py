@@ -17,7 +17,7 @@ def clouds(distance_m: float, count: int, sigma_per_m: float) -> dict[int, Cloud
     """The cloud of each picture that its true masks make, by its number."""
     found: dict[int, list[Cloud]] = {}
     for frame, segmentation in frames(distance_m, count, sigma_per_m):
-        for one in observe(frame, segmentation, ObserveConfig(max_depth_m=8.0), Lattice())[0]:
+        for one in observe(frame, segmentation, ObserveConfig(), Lattice())[0]:
             (x0, y0, _, _), (y, x) = one.box_px, np.argwhere(one.mask)[0]
             weights = information(one.points_world, frame.world_from_camera, frame.sensor.law)
             cloud = cloud_of(one.points_world, one.colors, VOXEL_M, weights, one.behind)

@@ -44,7 +44,7 @@ def cloud(points: np.ndarray) -> Cloud:
 
 def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
     known = TrackTable({t.id: t for t in tracks})
-    pair = find_pair(known, known, book, graph_of(known), CONFIG)
+    pair = find_pair(known, known, book, graph_of(known), 0.01, CONFIG)
     return pair[:2] if pair is not None else None
 
 
@@ -148,8 +148,8 @@ def test_what_was_seen_apart_needs_more_overlap_to_be_one():
 def test_only_pairs_with_a_changed_track_are_looked_at():
     points = box_surface((0, 0, 0.1))
     known = TrackTable({1: track(1, points), 2: track(2, points), 3: track(3, box_surface((2, 0, 0.1)))})
-    assert find_pair(known, [3], VoteBook(), graph_of(known), CONFIG) is None
-    assert find_pair(known, [2, 99], VoteBook(), graph_of(known), CONFIG) is not None
+    assert find_pair(known, [3], VoteBook(), graph_of(known), 0.01, CONFIG) is None
+    assert find_pair(known, [2, 99], VoteBook(), graph_of(known), 0.01, CONFIG) is not None
 
 
 def test_points_on_another_track_count_and_a_cover_is_named():
