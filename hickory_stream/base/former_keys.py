@@ -18,7 +18,7 @@ _GEOMETRY = "geometry decides what is structure"
 _KINDS = "what is large, or a part of the room, is a fixture of the map"
 _EXISTENCE = "new_view_gain same_view_gain min_gain fresh again least apart_rad apart_ratio full_sr".split()
 _TIME = "time of observation counts now, by"
-_SENSOR = "set sensor.max_m"
+_SENSOR = "the range is that of the camera, sensor.max_m"
 _SEEN = "what is filled follows from what was seen around it"
 
 FORMER_KEYS = {

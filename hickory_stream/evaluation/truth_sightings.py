@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.truth import Truth, frame_at, instances_of, mesh_of, moved_mesh
+from hickory_stream.evaluation.truth import Truth, TruthObject, frame_at, instances_of, mesh_of, moved_mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.inspection.keyframe_labels import (
     LEAST_CODE,
@@ -92,7 +92,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
     """
     nearest_m = nearest_m_of(known_config(path))
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
-    middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}
+    middles = {item.id: middle(truth, item) for item in truth.objects}
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
     book, areas, num_keyframes = TrackHistories(), [], 0
     masks_of: dict[int, dict[int | None, int]] = {}
@@ -133,8 +133,8 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
     )
 
 
-def _middle(truth: Truth, index: int) -> NDArray[np.float64]:
-    item = truth.objects[index]
+def middle(truth: Truth, item: TruthObject) -> NDArray[np.float64]:
+    """Return the middle (3,) of the bounds of a true object in the world."""
     vertices = moved_mesh(mesh_of(truth, item), item.world_from_object).vertices
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0, dtype=np.float64)
 

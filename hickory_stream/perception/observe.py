@@ -30,8 +30,9 @@ MILLIMETRE, MOST_MM = np.float32(0.001), 65535
 _AGREE_SIGMAS = 3.0
 # A return needs at least this many of its 24 neighbours within those sigmas of its depth.
 _MIN_NEIGHBORS = 5
-# The noise of a return is estimated from so many pixels to each side.
-_SMOOTH_PX = 2
+# Depth less sure than this many voxels is averaged over the pixels beside it, so many to each side: what is farther
+# away is seen in few frames.
+_NOISY_VOXELS, _SMOOTH_PX = 4.0, 2
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
@@ -105,7 +106,7 @@ def _lift(
     # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
-    depth = _without_noise(frame.depth_m[y0:y1, x0:x1], mask, frame.sensor.law, _SMOOTH_PX)
+    depth = _without_noise(frame.depth_m[y0:y1, x0:x1], mask, frame.sensor.law, _NOISY_VOXELS * voxel_m)
     points, colors, depth_mm, is_whole, num_reliable = _returns(
         depth,
         frame.rgb[y0:y1, x0:x1],
@@ -268,29 +269,34 @@ def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame)
 
 
 @kernel
-def _without_noise(depth, mask, law, reach):
+def _without_noise(depth, mask, law, least_sigma):
     # The local filter of Lee (1980) in inverse depth, in whole millimetres: where neighbours in the mask vary by no
     # more than noise they are averaged; a step of depth stays. A plane is linear in inverse depth and stays one.
     height, width = mask.shape
+    inverse = np.zeros((height, width))
+    for y in range(height):
+        for x in range(width):
+            if mask[y, x] and depth[y, x] > 0.0:
+                inverse[y, x] = 1.0 / np.float64(depth[y, x])
     out = depth.copy()
     for y in range(height):
         for x in range(width):
-            z = np.float64(depth[y, x])
-            if not mask[y, x] or not z > 0.0:
+            own, sigma = inverse[y, x], sigma_at(np.float64(depth[y, x]), law)
+            if own == 0.0 or sigma < least_sigma:
                 continue
-            own = 1.0 / z
             count, total, squares = 0, 0.0, 0.0
-            for yy in range(max(0, y - reach), min(height, y + reach + 1)):
-                for xx in range(max(0, x - reach), min(width, x + reach + 1)):
-                    other = np.float64(depth[yy, xx])
-                    if mask[yy, xx] and other > 0.0:
-                        away = 1.0 / other - own
-                        count, total, squares = count + 1, total + away, squares + away * away
+            for yy in range(max(0, y - _SMOOTH_PX), min(height, y + _SMOOTH_PX + 1)):
+                for xx in range(max(0, x - _SMOOTH_PX), min(width, x + _SMOOTH_PX + 1)):
+                    other = inverse[yy, xx]
+                    away = other - own if other > 0.0 else 0.0
+                    count += other > 0.0
+                    total += away
+                    squares += away * away
             mean = total / count
             variance = squares / count - mean * mean
-            noise = (sigma_at(z, law) / (z * z)) ** 2
             if variance > 0.0:
-                kept = max(variance - noise, 0.0) / variance
+                noise = sigma * own * own
+                kept = max(variance - noise * noise, 0.0) / variance
                 out[y, x] = np.float32(np.rint(1000.0 / (own + mean * (1.0 - kept)))) * MILLIMETRE
     return out
 

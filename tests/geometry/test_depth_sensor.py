@@ -54,6 +54,13 @@ def test_what_is_configured_goes_before_the_sensor_of_the_log():
     assert SensorConfig(noise_m=0.0).over(KINECT) == DepthSensor(noise_per_m=0.0019, noise_m=0.0)
 
 
+def test_depth_is_sure_to_a_length_as_far_as_its_law_says():
+    assert DepthSensor(noise_per_m=0.0025).reach_m(0.0625) == pytest.approx(5.0)
+    assert DepthSensor(noise_per_m=0.0025, max_m=3.0).reach_m(0.0625) == 3.0
+    assert DepthSensor(noise_per_m=0.0, noise_m=0.02, max_m=4.0).reach_m(0.05) == 4.0
+    assert DepthSensor(noise_m=0.1).reach_m(0.05) == 0.0
+
+
 def test_a_range_that_ends_before_it_begins_is_refused():
     with pytest.raises(RangeError, match="min_m is 3; expected at most max_m, 2"):
         DepthSensor(min_m=3, max_m=2)

@@ -33,6 +33,7 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
                 "contained": 0.9 if is_found else None,
                 "num_seen": 10,
                 "tracks": int(is_found),
+                "nearest_m": 4.0 + 2.0 * i,
                 "missed_because": None if is_found else "taken for structure",
             }
             for i, is_found in enumerate(found)
@@ -53,6 +54,14 @@ def by_name(figures: list[Figure]) -> dict[str, Figure]:
 
 def by_hand(world: str, rung: Rung = "ours", walk: str = "A", camera: str = "hand") -> Part:
     return Part(world=world, walk=walk, camera=camera, rung=rung)
+
+
+def test_the_campus_has_its_near_things_and_its_pieces_of_structure():
+    parts = [part for part in all_parts() if part.world == "campus"]
+    found = by_name(figures_of({part: record([True, False], [(True, False), (False, False)]) for part in parts}))
+    assert (found["campus_recall_25"].value, found["campus_near_recall_25"].value) == (0.5, 1.0)
+    assert found["campus_ground_pieces"].value == found["campus_B_robot_ground_pieces"].value == 1
+    assert "campus_A_hand_recall_25" in found
 
 
 def test_a_figure_has_denominator_interval_and_exclusions():
@@ -189,7 +198,7 @@ def test_parts_are_named_by_world_walk_camera_and_rung(only, count):
 def test_without_a_name_everything_is_measured_once():
     parts = chosen_parts([])
     assert parts == all_parts()
-    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 9
+    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 3 + 9
 
 
 def test_a_cached_part_is_measured_again_only_when_damaged(tmp_path):

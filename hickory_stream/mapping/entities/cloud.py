@@ -148,8 +148,8 @@ NO_PLANE = (0.0,) * 5
 class Cloud:
     """Sorted voxel `keys` (N,), mean `points` on lattice steps and `colors` (N, 3), and frames per voxel `hits`.
 
-    `weights` (N,): the sums of 1 / sigma^2 of the frames' depth; without them depth is sure to 8 mm. `behind`: sums over
-    frames of the plane that the surface is flush with, normal and offset times weight, and of the weights.
+    `weights` (N,): the sums of 1 / sigma^2 of the frames' depth; without them depth is sure to 8 mm. `behind`: sums
+    over frames of the plane that the surface is flush with, normal and offset times weight, and of the weights.
     """
 
     keys: NDArray[np.int64]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
-from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track import Track, with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.merging import (
@@ -143,6 +143,17 @@ def test_what_was_seen_apart_needs_more_overlap_to_be_one():
     assert found(VoteBook(), *sheets) == (1, 2)
     assert found(VoteBook().plus([(1, 2)], apart_ns=1), *sheets) is None
     assert found(VoteBook().plus([(1, 2)], apart_ns=1, together_ns=1), *sheets) == (1, 2)
+
+
+@pytest.mark.parametrize(("sigma_m", "apart_ns", "pair"), [(0.2, 0, (1, 2)), (0.2, 1, None), (0.01, 0, None)])
+def test_a_far_view_is_one_with_a_near_one_within_its_noise(sigma_m, apart_ns, pair):
+    near = box_surface((0, 0, 0.1), (0.2, 0.2, 0.2))
+    far = near[::3] + np.random.default_rng(0).normal(size=(len(near[::3]), 1)) * np.array([0.2, 0.0, 0.0])
+    seen = cloud_of(
+        far.astype(np.float32), np.zeros(far.shape, np.uint8), VOXEL_M, np.full(len(far), sigma_m**-2, np.float32)
+    )
+    blurred = with_cloud(track(2, box_surface((0, 0, 0.1))), seen, 3, VOXEL_M)
+    assert found(VoteBook().plus([(1, 2)], apart_ns=apart_ns), track(1, near), blurred) == pair
 
 
 def test_only_pairs_with_a_changed_track_are_looked_at():

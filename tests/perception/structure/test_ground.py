@@ -20,8 +20,9 @@ def seen(things, *, at=(0.6, 0.0, 0.0), start=(-2.4, -0.2, 1.4), tilt_deg=0.0):
     angle = np.radians(tilt_deg)
     c, s = np.cos(angle), np.sin(angle)
     tilt = from_rotation_translation(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.zeros(3))
+    depth_m = np.where(frame.depth_m < 10.0, frame.depth_m, np.nan)
     frame = type(frame)(
-        index=0, stamp_ns=0, rgb=frame.rgb, depth_m=np.where(frame.depth_m < 10.0, frame.depth_m, np.nan), camera=frame.camera,
+        index=0, stamp_ns=0, rgb=frame.rgb, depth_m=depth_m, camera=frame.camera,
         world_from_camera=tilt @ frame.world_from_camera,
     )  # fmt: skip
     surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))

@@ -11,13 +11,24 @@ from numpy.typing import NDArray
 
 from tools.benchmarks.common.figures import Better, Figure, figure, mean, share
 from tools.benchmarks.common.intervals import bootstrap
-from tools.benchmarks.foreign.parts import CAMERAS, OUTDOORS, OWN, ROLES, WALKS, WORLDS, Part
+from tools.benchmarks.foreign.parts import (
+    CAMERAS,
+    CAMPUS,
+    CAMPUS_WALKS,
+    OUTDOORS,
+    OWN,
+    ROLES,
+    WALKS,
+    WORLDS,
+    Part,
+)
 from tools.evaluation.oracle_ablation import Rung
 
 Record = Mapping[str, Any]
 Measured = Mapping[Part, Record]
 
 LARGE_M = 0.4
+_NEAR_M = 5.0
 _OBJECTS = "bootstrap over true objects"
 _MIXED = "home and bookstore tuned on, office and warehouse reported"
 _TO_STRUCTURE = ("taken for structure", "dropped as structure")
@@ -27,10 +38,12 @@ _LITTLE_SEEN = "{} true objects of which under 30 % was seen"
 def figures_of(measured: Measured) -> list[Figure]:
     figures = []
     for part, record in measured.items():
-        if part.world in WORLDS and part.rung == "ours":
-            is_headline = (part.walk, part.camera) == ("A", "hand")
+        if part.walk and part.rung == "ours":
+            headline = CAMPUS_WALKS[0] if part.world == CAMPUS else ("A", "hand")
+            is_headline = (part.walk, part.camera) == headline
             name = part.world if is_headline else f"{part.world}_{part.walk}_{part.camera}"
             figures += of_map(name, record, ROLES[part.world])
+            figures += _of_campus(name, record) if part.world == CAMPUS else []
     figures += _of_ladder(measured)
     figures += _of_robot(measured)
     by_hand = [record for world in WORLDS if (record := _a_by_hand(measured, world)) is not None]
@@ -207,6 +220,16 @@ def _of_shapes(name: str, every: Record, role: str) -> list[Figure]:
         ),
         *_share("things_found_50_over_25", found, "found_50", "true objects found", "the missed", role),
         *_invented(name, truth, role),
+    ]
+
+
+def _of_campus(name: str, record: Record) -> list[Figure]:
+    near = [row for row in record["truth"] if row["nearest_m"] <= _NEAR_M]
+    pieces = sum(row["false_because"] == "structure" for row in record["objects"])
+    far, of = f"those more than {_NEAR_M:g} m from the walk", f"{len(record['objects'])} objects and fixtures"
+    return [
+        *_share(f"{name}_near_recall_25", near, "found_25", "true objects", far, ROLES[CAMPUS]),
+        figure(f"{name}_ground_pieces", pieces, "", "lower", of, left_out="tentative objects", role=ROLES[CAMPUS]),
     ]
 
 

@@ -11,12 +11,14 @@ TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
 WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)
 OWN = ("own1", "own2", "own3")
 OUTDOORS = ("outdoor1", "outdoor2")
+# Outdoors, by a camera that reaches 10 m; the first walk is the headline.
+CAMPUS, CAMPUS_WALKS = "campus", (("A", "robot"), ("A", "hand"), ("B", "robot"))
 WALKS, CAMERAS = ("A", "B"), ("hand", "robot")
 TUNED, REPORTED = "tuned on", "reported"
 ROLES = {
     **dict.fromkeys(TUNED_WORLDS, TUNED), **dict.fromkeys(REPORTED_WORLDS, REPORTED),
     **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"), "kitchen": REPORTED,
-    "clouds_tuned": TUNED, "clouds_report": REPORTED,
+    "clouds_tuned": TUNED, "clouds_report": REPORTED, CAMPUS: TUNED,
 }  # fmt: skip
 
 
@@ -35,17 +37,18 @@ class Part:
 
     @property
     def is_map(self) -> bool:
-        return self.world in (*WORLDS, *OWN, *OUTDOORS)
+        return self.world in (*WORLDS, CAMPUS, *OWN, *OUTDOORS)
 
     def is_named(self, name: str) -> bool:
         world, *rest = name.split(":")
-        kind = self.world if self.world in WORLDS else self.world.split("_")[0].rstrip("123")
+        kind = self.world if self.walk else self.world.split("_")[0].rstrip("123")
         return world in (self.world, kind) and set(rest) <= {self.walk, self.camera, self.rung}
 
 
 def all_parts() -> list[Part]:
     """Return the parts in the order in which they are measured, the most important ones first."""
     parts = [Part(world=world, walk="A", camera="hand") for world in WORLDS]
+    parts += [Part(world=CAMPUS, walk=walk, camera=camera) for walk, camera in CAMPUS_WALKS]
     parts += [Part(world=name) for name in ("clouds_tuned", "clouds_report", "kitchen", "speed", *OWN, *OUTDOORS)]
     parts += [Part(world=world, walk="A", camera="hand", rung=rung) for world in WORLDS for rung in RUNGS[1:]]
     others = [(walk, camera) for walk in WALKS for camera in CAMERAS if (walk, camera) != ("A", "hand")]
@@ -60,7 +63,7 @@ def chosen_parts(only: Sequence[str]) -> list[Part]:
         if not any(part.is_named(name) for part in parts):
             raise InputError(
                 f"--only {name}: no such part; expected WORLD[:WALK][:CAMERA][:RUNG] of worlds {', '.join(WORLDS)}, "
-                f"walks A and B, cameras hand and robot, rungs {', '.join(RUNGS)}, "
+                f"{CAMPUS}, walks A and B, cameras hand and robot, rungs {', '.join(RUNGS)}, "
                 "or kitchen, clouds, own, outdoor, speed"
             )
     return [part for part in parts if not names or any(map(part.is_named, names))]

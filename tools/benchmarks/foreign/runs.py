@@ -19,6 +19,7 @@ from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.reach import depth_on_labels
 from hickory_stream.evaluation.surface_score import area_m2, generated_m2
 from hickory_stream.evaluation.truth import Truth, load_truth
+from hickory_stream.evaluation.truth_sightings import middle
 from hickory_stream.evaluation.why import NoWhy, reasons_of
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.perception.choose import make_segmenter
@@ -53,6 +54,8 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
     origins = {item.map_id: item.origin for item in why.false}
     matched, strict = {row.map_id for row in found.objects}, {row.strict_map_id for row in found.objects}
     ground = _pieces_of_ground(saved, truth)
+    eyes = np.array([frame.world_from_camera[:3, 3] for frame in truth.frames])
+    nearest_m = {item.id: float(np.linalg.norm(eyes - middle(truth, item), axis=1).min()) for item in truth.objects}
     return {
         "truth": [
             {
@@ -64,6 +67,7 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "adds_10": row.add_s_m is not None and row.add_s_m < 0.1 * row.diameter_m,
                 "tracks": len(row.track_ids),
                 "missed_because": reasons.get(row.truth_id),
+                "nearest_m": nearest_m[row.truth_id],
             }
             for row in found.objects
         ],
