@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import read_only
-from hickory_stream.geometry.bounds import extent_of
-from hickory_stream.perception.surface import Surface
 
 
 def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
@@ -31,19 +29,6 @@ def _fill_boxes(labels, boxes):
                     boxes[i, 0], boxes[i, 1] = x, y
                 boxes[i, 0], boxes[i, 2] = min(boxes[i, 0], x), max(boxes[i, 2], x + 1)
                 boxes[i, 3] = y + 1
-
-
-def why_no_object(
-    surface: Surface, labels: NDArray[np.int32], label: int, box: NDArray[np.int64], max_extent_m: float
-) -> str | None:
-    """Return the reason if a label (at working resolution) is too long for an object, else None."""
-    x0, y0, x1, y1 = box
-    points = surface.points_world[y0:y1, x0:x1].reshape(-1, 3)
-    part = points.take(np.flatnonzero((labels[y0:y1, x0:x1].ravel() == label) & np.isfinite(points[:, 2])), axis=0)
-    extent = float(extent_of(part).max()) if len(part) else 0.0
-    if extent > max_extent_m:  # the robust extent, without outliers, is slower: computed only if it matters
-        extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
-    return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
 
 
 def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:

@@ -18,7 +18,8 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.perception.masks import label_boxes, occluded_shares, why_no_object
+from hickory_stream.geometry.bounds import extent_of
+from hickory_stream.perception.masks import label_boxes, occluded_shares
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import RejectedMask
 
@@ -256,12 +257,25 @@ def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskCon
     small_area = 12 * config.min_area_px / (factor * factor)
     found = []
     for label in map(int, np.flatnonzero(pixels[1:]) + 1):
-        why = why_no_object(surface, small, label, boxes[label], config.max_extent_m)
+        why = _why_too_long(surface, small, label, boxes[label], config.max_extent_m)
         if occluded[label] > _OCCLUDED_SHARE and pixels[label] < small_area:
             why = f"{occluded[label]:.0%} of the outline is occluded by nearer surfaces"
         if why is not None:
             found.append((label, why))
     return found
+
+
+def _why_too_long(
+    surface: Surface, labels: NDArray[np.int32], label: int, box: NDArray[np.int64], max_extent_m: float
+) -> str | None:
+    # At working resolution.
+    x0, y0, x1, y1 = box
+    points = surface.points_world[y0:y1, x0:x1].reshape(-1, 3)
+    part = points.take(np.flatnonzero((labels[y0:y1, x0:x1].ravel() == label) & np.isfinite(points[:, 2])), axis=0)
+    extent = float(extent_of(part).max()) if len(part) else 0.0
+    if extent > max_extent_m:  # the robust extent, without outliers, is slower: computed only if it matters
+        extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
+    return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
 
 
 def _renumbered(labels: NDArray[np.int32], kept: Sequence[int]) -> NDArray[np.int32]:
