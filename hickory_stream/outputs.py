@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.history.time_travel import Change
     from hickory_stream.map_folder.verify import Finding
     from hickory_stream.perception.models.library import Companion
+    from hickory_stream.records import ObjectKind
 
 VERSION = 1
 
@@ -159,9 +160,11 @@ class DaysDiffer(TypedDict):
 
 
 class Blocker(TypedDict):
-    """An object that the robot would touch, or null for a wall, and its distance."""
+    """An object that the robot would touch, or null for a wall, and its distance; `kind` is null without an object."""
 
     object: int | None
+    kind: ObjectKind | None
+    fixture_probability: float | None
     distance_m: float
 
 
@@ -200,6 +203,8 @@ class QueryAnswer(TypedDict):
     """
 
     object: int
+    kind: ObjectKind
+    fixture_probability: float
     goal: str
     score: float
     center_m: list[float]

@@ -279,6 +279,16 @@ class ObjectKind(StrEnum):
     OBJECT = "object"
     FIXTURE = "fixture"
 
+    @classmethod
+    def of(cls, fixture_probability: float) -> "ObjectKind":
+        """Return the likelier kind."""
+        return cls.FIXTURE if fixture_probability > 0.5 else cls.OBJECT
+
+
+def kind_text(fixture_probability: float) -> str:
+    """Return the likelier kind and its probability as text, e.g. "fixture 0.93"."""
+    return f"{ObjectKind.of(fixture_probability)} {max(fixture_probability, 1 - fixture_probability):.2f}"
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class View:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Floors that are nearer to one another belong to one storey: steps, platforms, the landing of a stair.
 _ANOTHER_STOREY_M = 2.0
+# Minimum height of a storey.
+STOREY_M = 2.4
 # A box may reach below the floor that its object stands on, by noise or by a carpet's thickness.
 _BELOW_M = 0.3
 

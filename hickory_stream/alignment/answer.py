@@ -41,13 +41,18 @@ class MatchedPair:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Contradictions:
-    """The check against observed space: objects of one map at positions that the other map has observed."""
+    """The check against observed space: objects of one map at positions that the other map has observed.
+
+    `expected` and `missing` weigh what `num_expected` and `num_missing` count: a fixture, which stays, counts more.
+    """
 
     num_expected: int = 0
     #: in free space; `ids_a` and `ids_b` are missing in the other map
     num_missing: int = 0
     ids_a: tuple[int, ...] = ()
     ids_b: tuple[int, ...] = ()
+    expected: float = 0.0
+    missing: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

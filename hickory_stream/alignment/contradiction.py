@@ -2,6 +2,9 @@
 
 A point of an object is missing if the other map observed free space there and nothing solid nearby. An object is
 expected in the other map if most of its points were observed there; it is missing if most of these are missing.
+
+A missing fixture counts as three objects. Under a wrong transform 0.74 of the objects of a dense room are missing;
+under the right one, a day later, 8 of 35 that can be carried, and 0.02 of fixtures, by assumption: 0.5 and 1.5 decades.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from hickory_stream.geometry.voxels import contains, contains_near, keys_of_cell
 from hickory_stream.records import Submap
 
 _MAX_POINTS = 100
+_FIXTURE = 3.0
 _NEAR_VOXELS = 3.5
 """Points in the same or in adjacent voxels are less than the root of twelve voxels apart, however the axes lie."""
 
@@ -47,25 +51,26 @@ def contradictions(
     map_a: ObjectMap, map_b: ObjectMap, a_from_b: NDArray[np.float64], config: ContradictionConfig
 ) -> Contradictions:
     """Return the evidence against a transform; all counts are 0 if a map has no observed space or no points."""
-    expected_a, missing_a = _missing(map_a, invert(a_from_b), map_b, config)
-    expected_b, missing_b = _missing(map_b, a_from_b, map_a, config)
-    num_missing = len(missing_a) + len(missing_b)
-    num_expected = expected_a + expected_b
+    a_expected, a_missing = _missing(map_a, invert(a_from_b), map_b, config)
+    b_expected, b_missing = _missing(map_b, a_from_b, map_a, config)
+    a_weights, b_weights = (1 + (_FIXTURE - 1) * objects.fixed for objects in (map_a, map_b))
     return Contradictions(
-        num_expected=num_expected,
-        num_missing=num_missing,
-        ids_a=tuple(int(map_a.ids[i]) for i in missing_a),
-        ids_b=tuple(int(map_b.ids[i]) for i in missing_b),
+        num_expected=int(a_expected.sum() + b_expected.sum()),
+        num_missing=int(a_missing.sum() + b_missing.sum()),
+        ids_a=tuple(map_a.ids[a_missing].tolist()),
+        ids_b=tuple(map_b.ids[b_missing].tolist()),
+        expected=float(a_weights[a_expected].sum() + b_weights[b_expected].sum()),
+        missing=float(a_weights[a_missing].sum() + b_weights[b_missing].sum()),
     )
 
 
 def _missing(
     objects: ObjectMap, other_from_here: NDArray[np.float64], other: ObjectMap, config: ContradictionConfig
-) -> tuple[int, list[int]]:
-    # The number of objects expected in the other map, and the indices of those missing there.
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    # (N,) which objects are expected in the other map, and which are missing there.
     known = [(i, thinned(points)) for i, points in enumerate(objects.points) if points is not None]
     if not known or not other.submaps:
-        return 0, []
+        return np.zeros(len(objects), dtype=bool), np.zeros(len(objects), dtype=bool)
     owners = np.concatenate([np.full(len(points), i) for i, points in known])
     points_other = apply(other_from_here, np.concatenate([points for _, points in known]).astype(np.float64))
     is_free = np.zeros(len(owners), dtype=bool)
@@ -88,8 +93,7 @@ def _missing(
     totals = np.bincount(owners, minlength=count)
     seen, lost = np.bincount(owners[looked_at], minlength=count), np.bincount(owners[missed], minlength=count)
     is_expected = (totals > 0) & (seen >= config.min_looked_at * totals)
-    is_missing = is_expected & (lost > config.max_missed * seen)
-    return int(is_expected.sum()), [int(i) for i in np.flatnonzero(is_missing)]
+    return is_expected, is_expected & (lost > config.max_missed * seen)
 
 
 def thinned(points: NDArray[np.float32], most: int = _MAX_POINTS) -> NDArray[np.float32]:

@@ -118,7 +118,7 @@ def confronted(
         against = Contradictions()
         if hypothesis.log10_uniform <= NOTABLE:
             against = contradictions(map_a, map_b, hypothesis.a_from_b, config.contradiction)
-        price = config.contradiction.price * against.num_missing
+        price = config.contradiction.price * against.missing
         judged.append(
             Judged(
                 hypothesis=hypothesis,
@@ -180,7 +180,8 @@ def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
     best, against = judged[0].hypothesis, judged[0].contradictions
     limit = acceptance.max_log10_chance
     expected, missing = against.num_expected, against.num_missing
-    is_gap = expected >= config.contradiction.min_expected and missing > config.contradiction.max_missing * expected
+    is_gap = against.missing > config.contradiction.max_missing * against.expected
+    is_gap = is_gap and expected >= config.contradiction.min_expected
     if is_gap or best.log10_chance <= limit < judged[0].log10_chance:
         reason = (
             f"{len(best.pairs)} pairs agree, but of {expected} objects that should be in both maps {missing} are not"

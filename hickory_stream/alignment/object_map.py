@@ -35,6 +35,8 @@ class ObjectMap:
     submaps: tuple[Submap, ...] = ()
     #: of the features, "" if unknown
     extractor: str = ""
+    #: (N,) probabilities of a fixture, which stays; 0 if unknown
+    fixed: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         freeze(self, "ids", np.int64, (None,))
@@ -45,6 +47,9 @@ class ObjectMap:
         if not len(self.submap_ids):
             object.__setattr__(self, "submap_ids", np.zeros(count, dtype=np.int64))
         freeze(self, "submap_ids", np.int64, (count,))
+        if not len(self.fixed):
+            object.__setattr__(self, "fixed", np.zeros(count))
+        freeze(self, "fixed", np.float64, (count,))
         for name in ("shapes", "boxes", "points"):
             if len(getattr(self, name)) != count:
                 raise ValueError(f"{name} has {len(getattr(self, name))} entries for {count} objects")
@@ -70,6 +75,7 @@ def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
         submap_ids=np.array([tracked.submap_id for tracked in objects], dtype=np.int64),
         submaps=snapshot.submaps,
         extractor=extractor,
+        fixed=np.array([tracked.fixture_probability for tracked in objects]),
     )
 
 
@@ -84,6 +90,7 @@ def taken(objects: ObjectMap, indices: NDArray[np.int64]) -> ObjectMap:
         boxes=tuple(objects.boxes[i] for i in indices),
         points=tuple(objects.points[i] for i in indices),
         submap_ids=objects.submap_ids[indices],
+        fixed=objects.fixed[indices],
     )
 
 

@@ -280,6 +280,8 @@ def _change(
     if verdict is Verdict.MOVED and one is not None and other is not None:
         x, y, z = (round(float(part), 4) for part in other.box.center - one.box.center)
         shift = (x, y, z)
+    latest = one if other is None else other
+    assert latest is not None
     return ObjectChange(
         verdict=verdict,
         id_a=None if one is None else one.id,
@@ -287,4 +289,6 @@ def _change(
         probability=round(min(max(probability, 0.0), 1.0), 4),
         evidence=evidence,
         shift_m=shift,
+        kind=latest.kind,
+        fixture_probability=latest.fixture_probability,
     )

@@ -8,6 +8,7 @@ from math import hypot
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.records import ObjectKind, kind_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,7 +50,7 @@ class ObjectChange:
     """Change of one object, with its id in each map that has it, and the probability.
 
     `evidence` is from the other map; of a pair, from map b at the place of map a's object. `shift_m` is the motion of a
-    moved object's centre in the frame of map a.
+    moved object's centre in the frame of map a. `kind` is from map b, if it has the object.
     """
 
     verdict: Verdict
@@ -58,6 +59,8 @@ class ObjectChange:
     probability: float
     evidence: Evidence
     shift_m: tuple[float, float, float] | None = None
+    kind: ObjectKind = ObjectKind.OBJECT
+    fixture_probability: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -120,6 +123,7 @@ def count_text(found: MapChanges) -> str:
 def sentence(change: ObjectChange) -> str:
     """Return the change of one object as text."""
     name = " -> ".join(f"#{i}" for i in (change.id_a, change.id_b) if i is not None)
+    name += f" ({kind_text(change.fixture_probability)})"
     if change.shift_m is not None:
         x, y, z = change.shift_m
         name += f" by {hypot(x, y, z):.2f} m ({x:+.2f}, {y:+.2f}, {z:+.2f})"

@@ -150,15 +150,15 @@ class Evaluation(Counts):
     placement: Placement | None
 
 
-def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
-    """Return the scores of a map against truth.
+def evaluate(saved: SavedMap, truth: Truth, detection: Score | None = None) -> Evaluation:
+    """Return the scores of a map against truth; a known `detection` (`why.investigate`) saves reading the journal.
 
     Raises `RecordingError` for the truth of another log or a damaged file, `MapFolderError` for a mesh or a view.
     """
     placed = placed_truth(saved, truth)
     truth = placed.truth
     meshes = meshes_of(saved)
-    detection = score_map(saved.snapshot, meshes, truth, depth_on_objects(saved, truth))
+    detection = detection or score_map(saved.snapshot, meshes, truth, depth_on_objects(saved, truth))
     structure = structure_meshes(truth)
     walls = Scene([surface_of_mesh(mesh) for mesh in structure])
     surfaces = {item.id: true_surface(truth, item) for item in truth.objects}

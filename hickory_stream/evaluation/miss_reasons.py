@@ -99,7 +99,6 @@ class Evidence:
     """Input to all reasons; `names` are of true objects, `boxes` of the map's objects.
 
     A track is confirmed when it was observed for `confirm_s`.
-    `depth_on` is the number of keyframes with depth on each true object.
     """
 
     names: Mapping[int, str]
@@ -107,7 +106,6 @@ class Evidence:
     overlap: Overlap
     boxes: Mapping[int, OrientedBox]
     confirm_s: float
-    depth_on: Mapping[int, int]
 
     @property
     def fewest_sightings(self) -> int:
@@ -146,7 +144,7 @@ def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> M
     """Return why a true object is missed; `track_ids` are the objects mostly on it."""
     seen = evidence.sightings.of_object[truth_id]
     message = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
-    num_depth = evidence.depth_on.get(truth_id, 0)
+    num_depth = evidence.sightings.depth_on.get(truth_id, 0)
     if num_depth < MIN_DEPTH_KEYFRAMES:
         text = f"keyframes with depth on 64 and more of its pixels (of 640 x 480): {num_depth}; {message}"
         text = text if seen else f"none of {evidence.sightings.num_keyframes} keyframes shows it"

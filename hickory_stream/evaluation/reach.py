@@ -6,8 +6,10 @@ it: 64 of 640 x 480 pixels, the smallest mask. Neither masks nor the configurati
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.evaluation.match import SURFACE_REACH_M, TrueBox
@@ -32,11 +34,24 @@ def depth_on_objects(saved: SavedMap, truth: Truth) -> Counter[int] | None:
         at = frame_at(stamps, keyframe.observed.stamp_ns)
         if at is None:
             return Counter()
-        depth, shown = keyframe.coarse.depth_mm, instances_of(truth, truth.frames[at])
-        shown = shown[sampled_pixels(shown.shape, keyframe.coarse.stride_px)][: len(depth), : depth.shape[1]]
-        return Counter(shown[depth[: len(shown), : shown.shape[1]] > 0].tolist())
+        return _cells(keyframe, instances_of(truth, truth.frames[at]))
 
     return _keyframes(saved, cells_of)
+
+
+def reached_in(keyframe: RecordedKeyframe, instances: NDArray[Any]) -> set[int]:
+    """Return the true objects on which a keyframe has depth; `instances` (H, W) are those that its pixels show."""
+    return _enough(_cells(keyframe, instances))
+
+
+def _cells(keyframe: RecordedKeyframe, instances: NDArray[Any]) -> Counter[int]:
+    depth = keyframe.coarse.depth_mm
+    shown = instances[sampled_pixels(instances.shape, keyframe.coarse.stride_px)][: len(depth), : depth.shape[1]]
+    return Counter(shown[depth[: len(shown), : shown.shape[1]] > 0].tolist())
+
+
+def _enough(cells: Counter[int]) -> set[int]:
+    return {i for i, count in cells.items() if count >= _CELLS}
 
 
 def depth_on_labels(saved: SavedMap, labels: Sequence[TrueBox]) -> Counter[int] | None:
@@ -56,7 +71,7 @@ def _keyframes(saved: SavedMap, cells_of: Callable[[RecordedKeyframe], Counter[i
     try:
         for step in recorded_steps(saved.folder, saved.snapshot):
             if step.keyframe is not None:
-                keyframes.update(i for i, cells in cells_of(step.keyframe).items() if cells >= _CELLS)
+                keyframes.update(_enough(cells_of(step.keyframe)))
     except MapFolderError:
         return None
     return keyframes

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.evaluation.reach import reached_in
 from hickory_stream.evaluation.truth import Truth, TruthObject, frame_at, instances_of, mesh_of, moved_mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.inspection.keyframe_labels import (
@@ -75,7 +77,8 @@ class Sighting:
 class TruthSightings:
     """Sightings of true objects by id, the histories of tracks, and the size of the smallest masks.
 
-    `masks_of` is, by track, the number of pixels of each true object in its masks; None for no object.
+    `masks_of` is, by track, the number of pixels of each true object in its masks; None for no object. `depth_on` is
+    as of `reach.depth_on_objects`.
     """
 
     of_object: dict[int, tuple[Sighting, ...]]
@@ -83,6 +86,7 @@ class TruthSightings:
     num_keyframes: int
     smallest_mask_px: float
     masks_of: dict[int, dict[int | None, int]]
+    depth_on: Counter[int]
 
 
 def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSightings:
@@ -96,6 +100,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
     book, areas, num_keyframes = TrackHistories(), [], 0
     masks_of: dict[int, dict[int | None, int]] = {}
+    depth_on: Counter[int] = Counter()
     for step in recorded_steps(path, final):
         keyframe = step.keyframe
         book.add(None if keyframe is None else keyframe.observed.frame_index, step.decisions)
@@ -107,6 +112,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         if at is None:
             continue
         shown = _shown(truth, at, found)
+        depth_on.update(reached_in(keyframe, shown))
         labels = seen_as(keyframe, nearest_m)
         codes = np.asarray(labels.codes)
         camera_from_map = invert(keyframe.map_from_odometry @ keyframe.observed.world_from_camera)
@@ -130,6 +136,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         num_keyframes=num_keyframes,
         smallest_mask_px=float(np.quantile(areas, _SMALLEST_MASKS)) if areas else 0.0,
         masks_of=masks_of,
+        depth_on=depth_on,
     )
 
 

@@ -10,7 +10,6 @@ from hickory_stream.evaluation.match import Score, TruthScore, best_box, meshes_
 from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.reach import depth_on_objects
 from hickory_stream.evaluation.truth import Truth
 from hickory_stream.evaluation.truth_sightings import Sighting, sightings_of_truth
 from hickory_stream.inspection.track_history import Stretch, TrackStory, stretches_of, track_story
@@ -75,16 +74,16 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
     placed = placed_truth(saved, truth).truth
     meshes = meshes_of(saved)
     mapping = known_config(saved.folder).mapping
-    depth_on = depth_on_objects(saved, placed)
+    sightings = sightings_of_truth(saved.folder, saved.snapshot, placed)
     evidence = Evidence(
         names={item.id: f"{item.id} {item.kind}" for item in placed.objects},
-        sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),
+        sightings=sightings,
         overlap=Overlap(saved.snapshot, placed),
         boxes={o.id: best_box(o, meshes) for o in saved.snapshot.objects if o.phase is not Phase.TENTATIVE},
         confirm_s=mapping.lifecycle.confirm_s,
-        depth_on=depth_on or {},
     )
-    return Investigation(truth=placed, score=score_map(saved.snapshot, meshes, placed, depth_on), evidence=evidence)
+    score = score_map(saved.snapshot, meshes, placed, sightings.depth_on)
+    return Investigation(truth=placed, score=score, evidence=evidence)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -7,7 +7,9 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from types import FrameType
@@ -27,8 +29,8 @@ def run_crew(
 ) -> dict[str, Ended]:
     """Map all robots in the order of `tasks`, `processes` at a time; return the end of each.
 
-    `hear` gets the messages of a robot by name, last its `Ended`. `main` is the function of a process. A second signal
-    raises `KeyboardInterrupt`.
+    `hear` gets the messages of a robot by name, last its `Ended`. `main` is the function of a process, and calls
+    `robot_process.listen`. A second signal raises `KeyboardInterrupt`.
     """
     crew = _Crew(tasks, processes, hear, main)
     with _Signals(crew):
@@ -53,6 +55,7 @@ class _Crew:
         self._running: dict[Connection, tuple[RobotTask, SpawnProcess]] = {}
         self._ended: dict[str, Ended] = {}
         self._is_stopping = False
+        self._signalled: set[str] = set()
 
     def run(self) -> dict[str, Ended]:
         while self._waiting or self._running:
@@ -65,7 +68,9 @@ class _Crew:
     def stop(self) -> None:
         self._is_stopping = True
         for _, process in list(self._running.values()):
-            if process.pid is not None and process.is_alive():
+            # A second signal would cancel a robot that saves its map.
+            if process.name not in self._signalled and process.pid is not None and process.is_alive():
+                self._signalled.add(process.name)
                 os.kill(process.pid, signal.SIGINT)
 
     def kill(self) -> None:
@@ -83,9 +88,10 @@ class _Crew:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe(duplex=False)
         process = context.Process(target=self._main, args=(task, theirs), name=f"robot-{task.robot.name}")
-        process.start()
-        theirs.close()  # ours ends when the process does
-        self._running[ours] = (task, process)
+        with _signals_held():
+            process.start()
+            theirs.close()  # ours ends when the process does
+            self._running[ours] = (task, process)
         if self._is_stopping:
             self.stop()  # the signal came while it was not among those that run
 
@@ -113,6 +119,20 @@ def _death(status: int | None) -> str:
         known = {number.value: number.name for number in signal.Signals}
         return f"its process was killed by {known.get(-status, f'signal {-status}')}"
     return f"its process ended with status {status} and without a word"
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    # A process that starts here inherits the mask, and gets a signal when it listens.
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # its own start would end the mask
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Signals:

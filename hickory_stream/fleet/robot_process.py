@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import threading
 import time
 import traceback
@@ -57,6 +58,7 @@ def main(task: RobotTask, connection: Connection) -> None:
     logging.basicConfig(level=level, format=f"{name}: %(levelname)s: %(message)s")
     link = _Link(connection)
     try:
+        listen()
         ended = _mapped(task, link)
     except HickoryError as error:
         ended = Ended(is_finished=False, reason=" ".join(str(error).split()))
@@ -70,6 +72,12 @@ def main(task: RobotTask, connection: Connection) -> None:
         ended = Ended(is_finished=False, reason=f"internal failure, {type(error).__name__}: {error}")
     link.send(ended)
     connection.close()
+
+
+def listen() -> None:
+    """Receive signals, also those that came since this process was begun."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
 
 
 class _Link:

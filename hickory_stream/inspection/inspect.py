@@ -15,7 +15,7 @@ from hickory_stream.inspection.object_geometry import Place, place_of
 from hickory_stream.inspection.supports import support_text, supports_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.floor_warnings import floor_warnings
-from hickory_stream.records import Containment, FitKind, ObjectKind, ObjectShape, Phase, TrackedObject
+from hickory_stream.records import Containment, FitKind, ObjectKind, ObjectShape, Phase, TrackedObject, kind_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -244,7 +244,7 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_PLACE_HEADER = ("id", "kind", "phase", "sightings", "layers", "x m", "y m", "z m", "yaw deg", "size m", "litres",
+_PLACE_HEADER = ("id", "kind", "phase", "sighted", "layers", "x m", "y m", "z m", "yaw deg", "size m", "litres",
                  "color", "held by")  # fmt: skip
 _OBJECT_HEADER = ("id", "submap", "placed by", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
@@ -268,7 +268,7 @@ def _place_row(row: ObjectSummary, near: tuple[float, float] | None) -> tuple[st
     place = row.place
     return (
         str(row.id),
-        row.kind,
+        kind_text(row.fixture_probability),
         row.phase,
         str(row.sightings),
         "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),

@@ -15,7 +15,7 @@ from hickory_stream.inspection.track_history import Stretch, TrackStory, ending_
 from hickory_stream.map_folder.history.recorded import final_snapshot, recorded_steps
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.records import MapSnapshot, ObjectKind, Phase
+from hickory_stream.records import MapSnapshot, ObjectKind, Phase, kind_text
 
 _IN_WORDS: dict[PlaceWhere, str] = {
     "mask": "in a mask",
@@ -126,7 +126,7 @@ def _verdict(there: tuple[ObjectThere, ...], sightings: list[PlaceSighting], boo
         parts = ", ".join(f"{_IN_WORDS[w]} in {n}" for w, n in sorted(counts.items(), key=lambda kv: (-kv[1], kv[0])))
         text = f"of {len(sightings)} keyframes that have it in the image: {parts}"
     if there:
-        return f"in {there[0].kind} #{there[0].id}; {text}"
+        return f"in #{there[0].id}, {kind_text(there[0].fixture_probability)}; {text}"
     tracks = Counter(s.track_id for s in sightings if s.where == "mask" and s.track_id is not None)
     ends = "; ".join(
         f"{count} of its masks went to {ending_text(book, i)}"

@@ -20,7 +20,7 @@ class TrackStory:
     born: str
     num_keyframes: int
     turns: tuple[str, ...]
-    #: when it became a fixture, or an object again
+    #: when it became a fixture, or an object again, and its kind at the end
     changes: tuple[str, ...]
     ending: str
     #: object of the map that it became, itself or by merging; None for a dropped track

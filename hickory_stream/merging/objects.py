@@ -68,7 +68,7 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
         best_view=replace(max(scored, key=lambda view: view.score or 0.0), object_id=first.id) if scored else None,
         shape=shape,
         sketch=keeper.sketch,
-        kind=ObjectKind.FIXTURE if fixed > 0.5 else ObjectKind.OBJECT,
+        kind=ObjectKind.of(fixed),
         fixture_probability=fixed,
     )
     # Without views there is nothing to make a shape of but what made none before.

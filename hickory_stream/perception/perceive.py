@@ -14,9 +14,9 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric_segmenter import GeometricConfig
-from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
+from hickory_stream.perception.models.mask_pipeline import MaskConfig
 from hickory_stream.perception.models.network import NetworkConfig
 from hickory_stream.perception.models.semantic_graph import SemanticConfig
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig

@@ -24,7 +24,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.pictures.legend import FIXTURE, FIXTURE_TEXT, GENERATED, GENERATED_TEXT
-from hickory_stream.records import Phase, number_of_kinds
+from hickory_stream.records import Phase, kind_text, number_of_kinds
 from hickory_stream.storeys import floor_of, floors_of
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def three_js() -> str:
 def _facts(tracked: TrackedObject, meshes: trimesh.Scene) -> dict[str, Any]:
     size = " x ".join(f"{2 * half_m:.2f}" for half_m in tracked.box.half_extents_m) + " m"
     lines = [
-        f"#{tracked.id}, {tracked.kind}, {tracked.phase}, {tracked.sightings} sightings",
+        f"#{tracked.id}, {kind_text(tracked.fixture_probability)}, {tracked.phase}, {tracked.sightings} sightings",
         f"size {size}",
         "centre " + ", ".join(f"{value:.2f}" for value in tracked.box.center) + " m",
         f"{len(tracked.points_world)} points",

@@ -10,6 +10,7 @@ import numpy as np
 
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.pictures.render import render_map
+from hickory_stream.records import kind_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +55,7 @@ def _tile(saved: SavedMap, item: TrackedObject, answer: Answer) -> NDArray[np.ui
         size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
         small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
         tile[: size[1], : size[0]] = small
-    _write(tile[_TILE_PX:], f"#{answer.id}: {answer.score:.2f}", 2, 0.55)
+    _write(tile[_TILE_PX:], f"#{answer.id}: {answer.score:.2f}, {kind_text(item.fixture_probability)}", 2, 0.55)
     return tile
 
 

@@ -113,16 +113,27 @@ def grid_message(update: CostmapUpdate) -> tuple[str, bytes]:
 
 
 def detections_message(snapshot: MapSnapshot) -> bytes:
-    """Return the objects with id, upright box and pose; the class is its kind, once layer 4 exists."""
+    """Return the objects with id, upright box and pose.
+
+    The classes are its kinds, the likelier one first; before layer 4 exists, `OBSERVED_ONLY` precedes them.
+    """
     header = _header(snapshot.stamp_ns)
     found = []
     for tracked, obstacle, pose in _with_poses(snapshot):
-        kind = OBSERVED_ONLY if obstacle.is_observed_only else str(tracked.kind)
-        hypothesis = _new("vision_msgs/msg/ObjectHypothesis", class_id=kind, score=1.0)
+        fixed = tracked.fixture_probability
+        classes = sorted(((1 - fixed, "object"), (fixed, "fixture")), reverse=True)
+        classes = [(1.0, OBSERVED_ONLY)] * obstacle.is_observed_only + classes
         with_covariance = _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
-        result = _new("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
+        results = [
+            _new(
+                "vision_msgs/msg/ObjectHypothesisWithPose",
+                hypothesis=_new("vision_msgs/msg/ObjectHypothesis", class_id=name, score=score),
+                pose=with_covariance,
+            )
+            for score, name in classes
+        ]
         box = _new("vision_msgs/msg/BoundingBox3D", center=pose, size=_vector(2 * tracked.box.half_extents_m))
-        found.append(_new("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=str(tracked.id)))
+        found.append(_new("vision_msgs/msg/Detection3D", header=header, results=results, bbox=box, id=str(tracked.id)))
     return encoded(DETECTIONS, _new(DETECTIONS, header=header, detections=found))
 
 

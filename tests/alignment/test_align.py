@@ -229,6 +229,22 @@ def test_an_object_that_should_show_speaks_against_an_alignment():
     assert answer.contradictions.num_missing > 6
 
 
+def test_fixtures_that_stay_outweigh_what_was_moved():
+    items = furniture(36, 3)
+    kept, places = items[:9], [place for place, _, _ in items[23:]]
+    moved = [
+        (np.array([x, y, half[2]]), half, look) for (_, half, look), (x, y, _) in zip(items[9:22], places, strict=True)
+    ]
+    maps = [object_map(snapshot_of(own, frame(yaw, 1, 1))) for own, yaw in ((items[:22], 0), ([*kept, *moved], 30))]
+    assert refused(align(*maps)).refusal is Refusal.CONTRADICTED
+    is_kept = np.arange(22) < 9
+    known = [replace(one, fixed=np.where(is_kept, 0.9, 0.1)) for one in maps]
+    assert len(aligned(align(*known)).pairs) == 9
+    # Those that were moved should have stayed.
+    against = refused(align(*(replace(one, fixed=np.where(is_kept, 0.1, 0.9)) for one in maps))).contradictions
+    assert against.missing / against.expected > 0.7 > against.num_missing / against.num_expected
+
+
 def test_a_map_that_drifted_is_still_found():
     items = furniture(16, 5)
     map_a = object_map(snapshot_of(items, np.eye(4)))

@@ -4,7 +4,15 @@ import pytest
 from hickory_stream.changes import evidence
 from hickory_stream.changes.compare import compare_maps, probability_changed
 from hickory_stream.changes.evidence import evidence_at, seen_places
-from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict, evidence_text
+from hickory_stream.changes.records import (
+    ChangesConfig,
+    Evidence,
+    MapChanges,
+    ObjectChange,
+    Verdict,
+    evidence_text,
+    sentence,
+)
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.mapping.entities.rigid_motion import moved_object
@@ -130,8 +138,11 @@ def test_the_probability_of_a_change_follows_bayes_rule():
 )
 def test_the_evidence_says_plainly_what_was_seen(free, unseen, text):
     seen = Evidence(free=free, structure=0.0, objects=0.0, unseen=unseen, num_clear=100)
-    change = ObjectChange(verdict=Verdict.GONE, id_a=1, id_b=None, probability=0.5, evidence=seen)
+    change = ObjectChange(
+        verdict=Verdict.GONE, id_a=1, id_b=None, probability=0.5, evidence=seen, fixture_probability=0.75
+    )
     assert evidence_text(change) == text
+    assert sentence(change) == "#1 (fixture 0.75), probability 0.50"
 
 
 def test_in_a_run_what_is_seen_through_is_gone():

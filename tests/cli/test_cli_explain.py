@@ -15,20 +15,28 @@ from hickory_stream.evaluation.match import surface_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.evaluation.why import Why, reasons_of
+from hickory_stream.evaluation.why import Why, investigate, reasons_of
 from hickory_stream.evaluation.why_text import why_text
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.recorded import RecordedStep, frame_indices, recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import Observation
+from hickory_stream.records import Observation, kind_text
 from tests.output_forms import checked
 
 
 @pytest.fixture(scope="module")
 def found(short_map: Path, demo_truth: Path) -> Evaluation:
     return evaluate(open_map(short_map), load_truth(demo_truth))
+
+
+def test_the_history_of_a_map_spares_a_second_read_of_its_journal(short_map, demo_truth, found, monkeypatch):
+    saved, truth = open_map(short_map), load_truth(demo_truth)
+    history = investigate(saved, truth)
+    monkeypatch.delattr("hickory_stream.evaluation.reach.recorded_steps")
+    assert evaluate(saved, truth, history.score) == found
+    assert found.num_reachable
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +86,7 @@ def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map, expla
     middle = tracked.points_world[np.argmin(np.linalg.norm(tracked.points_world - tracked.box.center, axis=1))]
     told = explain.json(short_map, f"--point={','.join(f'{value:.4f}' for value in middle)}")
     assert told["objects"][0]["id"] == tracked.id
-    assert told["verdict"].startswith(f"in {tracked.kind} #{tracked.id}; of ")
+    assert told["verdict"].startswith(f"in #{tracked.id}, {kind_text(tracked.fixture_probability)}; of ")
     masks = [sighting for sighting in told["sightings"] if sighting["where"] == "mask"]
     assert len(masks) >= tracked.sightings // 2
     assert tracked.id in {sighting["track_id"] for sighting in masks}

@@ -6,10 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from hickory_stream.base import caches
 from hickory_stream.cli import main
 from hickory_stream.map_folder.views import write_crop
 from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.records import ObjectKind
 from tests.cli.test_cli_navigation import CRATE, saved
 from tests.engine.snapshot_fixtures import make_crop, make_snapshot
 from tests.navigation.rooms import table, tracked
@@ -64,6 +66,27 @@ def test_plan_leads_to_a_place_beside_an_object(tmp_path, capsys):
     for goal, complaint in (("object:9", "has no object 9"), ("object:x", "expected X,Y in metres, or object:ID")):
         assert main([*command, "--goal", goal]) == 2
         assert complaint in capsys.readouterr().err
+
+
+def test_outputs_of_an_object_say_its_kind_and_how_sure(tmp_path, capsys):
+    crate = replace(tracked(2, CRATE), kind=ObjectKind.FIXTURE, fixture_probability=0.75)
+    room = str(saved(tmp_path / "room.map", tracked(1, table()), crate))
+    blocked = ["plan", room, "--start", "0.7,0.6", "--goal", "4.5,1.0", "--robot", "point"]
+    for status, command, name in ((0, ["query", room, "a fixture"], "answers"), (3, blocked, "blockers")):
+        assert main([*command, "--json"]) == status
+        (told,) = json.loads(capsys.readouterr().out)[name]
+        assert (told["object"], told["kind"], told["fixture_probability"]) == (2, "fixture", 0.75)
+    assert main(["export", room, "-o", str(tmp_path / "room.glb"), "--texture", "0"]) == 0
+    meshes = trimesh.load(tmp_path / "room.glb", force="scene").geometry
+    assert meshes["fixture-2"].metadata["fixture_probability"] == 0.75
+    capsys.readouterr()
+    for command, text in (
+        (["inspect", room], " 2  fixture 0.75  active"),
+        (["query", room, "a fixture"], "fixture 0.75 at (4.50, 1.00, 0.30) m"),
+        (blocked, "note: these blocking objects are fixtures, which stay: 2"),
+    ):
+        main(command)
+        assert text in capsys.readouterr().out
 
 
 def test_an_image_text_network_tells_what_words_look_like(tmp_path, monkeypatch, capsys):

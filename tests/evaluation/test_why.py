@@ -1,3 +1,4 @@
+from collections import Counter
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -79,11 +80,11 @@ def evidence(
             num_keyframes=20,
             smallest_mask_px=100.0,
             masks_of={7: {THING: 300, FLOOR: 700}},
+            depth_on=Counter({THING: num_depth}),
         ),
         overlap=Overlap(snapshot, truth),
         boxes={o.id: o.box for o in objects},
         confirm_s=CONFIRM_S,
-        depth_on={THING: num_depth},
     )
 
 

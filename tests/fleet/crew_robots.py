@@ -5,7 +5,7 @@ import signal
 import time
 from multiprocessing.connection import Connection
 from hickory_stream.fleet.messages import Ended, Opened
-from hickory_stream.fleet.robot_process import RobotTask
+from hickory_stream.fleet.robot_process import RobotTask, listen
 
 
 def main(task: RobotTask, connection: Connection) -> None:
@@ -17,12 +17,15 @@ def main(task: RobotTask, connection: Connection) -> None:
         nonlocal is_stopped
         is_stopped = True
 
+    if name.startswith("late"):
+        time.sleep(0.3)
     signal.signal(signal.SIGINT, stop)
+    listen()
     connection.send(Opened(text=(name, str(time.monotonic_ns()))))
     if name.startswith("killed"):
         os.kill(os.getpid(), signal.SIGKILL)
     if name.startswith("silent"):
         os._exit(7)
-    while name.startswith("endless") and not is_stopped:
+    while "endless" in name and not is_stopped:
         time.sleep(0.01)
     connection.send(Ended(is_finished=not is_stopped, was_stopped=is_stopped, digest=name))

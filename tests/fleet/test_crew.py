@@ -64,6 +64,16 @@ def test_a_signal_stops_all_robots_in_order_and_begins_no_more():
     assert ended["waiting"].reason == "stopped before it began"
 
 
+def test_a_signal_reaches_a_robot_that_does_not_listen_yet():
+    def hear(name: str, message: Message) -> None:
+        if name == "endless" and isinstance(message, Opened):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    ended = run_crew([task("endless"), task("late-endless")], 2, hear, crew_robots.main)
+    stopped = {name: (one.was_stopped, one.digest) for name, one in ended.items()}
+    assert stopped == {"endless": (True, "endless"), "late-endless": (True, "late-endless")}
+
+
 def test_a_second_signal_ends_them_at_once():
     def hear(name: str, message: Message) -> None:
         os.kill(os.getpid(), signal.SIGTERM)

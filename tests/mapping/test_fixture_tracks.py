@@ -42,7 +42,8 @@ def test_a_picture_is_published_as_a_fixture_and_gets_a_shape():
     assert kinds == {1: FIXTURE, 2: ObjectKind.OBJECT}
     assert {effect.object_id for effect in effects if isinstance(effect, RequestShape)} == {1, 2}
     said = [d for effect in effects if isinstance(effect, Publish) for d in effect.decisions if d.kind == "kind"]
-    assert [(d.object_id, d.text.split()[0]) for d in said] == [(1, "fixture")]
+    # When it becomes a fixture, and both at the end.
+    assert [(d.object_id, d.text.split()[0]) for d in said] == [(1, "fixture"), (1, "fixture"), (2, "object")]
     assert "at a wall" in said[0].text
 
 

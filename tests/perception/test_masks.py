@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask, occluded_shares
+from hickory_stream.perception.masks import enlarged, enlarged_mask, occluded_shares
+from hickory_stream.perception.models.mask_pipeline import InstanceMask, MaskConfig, compose
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from tests.perception.perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 

@@ -8,7 +8,7 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.records import FrameReport, MapSnapshot, Phase, SpaceObservation
+from hickory_stream.records import FrameReport, MapSnapshot, ObjectKind, Phase, SpaceObservation
 from hickory_stream.sinks.publish_sink import (
     GOAL_TOPIC,
     MAP_TOPIC,
@@ -96,11 +96,13 @@ def test_topics_have_the_types_and_durability_of_nav2():
     }
 
 
-def test_objects_have_ids_boxes_and_poses():
+def test_objects_have_ids_kinds_boxes_and_poses():
     of = room()
-    detections = told(of).last(OBJECTS_TOPIC).detections
+    attached = replace(of.objects[0], kind=ObjectKind.FIXTURE, fixture_probability=0.75)
+    detections = told(replace(of, objects=(attached, of.objects[1]))).last(OBJECTS_TOPIC).detections
     assert [found.id for found in detections] == ["1", "2"]
-    assert [found.results[0].hypothesis.class_id for found in detections] == ["object", "observed_only"]
+    classes = [[(one.hypothesis.class_id, one.hypothesis.score) for one in found.results] for found in detections]
+    assert classes == [[("fixture", 0.75), ("object", 0.25)], [("observed_only", 1), ("object", 1), ("fixture", 0)]]
     for found, item in zip(detections, of.objects, strict=True):
         center, size = found.bbox.center.position, found.bbox.size
         assert [center.x, center.y, center.z] == pytest.approx(item.box.center)

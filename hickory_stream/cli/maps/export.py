@@ -55,7 +55,8 @@ def add(commands: Commands) -> None:
         "--format",
         choices=sorted((*_WRITERS, *_SEVERAL)),
         help="default: as FILE ends, else json; json: all records; html: a page that shows the map; ply: layer 1; "
-        "glb: layer 2, a named node an object, y up, _SEEN per vertex; stl, obj: layer 2, z up; tum: camera poses; "
+        "glb: layer 2, a named node an object, y up, _SEEN per vertex, kinds in `extras`; stl, obj: layer 2, z up; "
+        "tum: camera poses; "
         "nav2: a grid for map_server (YAML and PGM); mjcf, urdf: a simulator folder, layer 2 visual, layer 4 collision",
     )
     add_output(
@@ -184,6 +185,7 @@ def _scene(saved: SavedMap, options: argparse.Namespace, *, has_texture: bool) -
                 mesh, visual = textured.mesh, trimesh_visual(textured)
             shown = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
             shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
+            shown.metadata = {"kind": tracked.kind.value, "fixture_probability": tracked.fixture_probability}
             # The page switches its meshes by name.
             name = f"{'object' if options.format == 'html' else tracked.kind}-{tracked.id}"
             scene.add_geometry(shown, node_name=name, geom_name=name, transform=tracked.shape.world_from_object)

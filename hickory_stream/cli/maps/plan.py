@@ -21,6 +21,7 @@ from hickory_stream.cli.option_values import (
 from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
+from hickory_stream.records import ObjectKind
 
 if TYPE_CHECKING:
     import argparse
@@ -125,6 +126,7 @@ def run(options: argparse.Namespace) -> int:
         uncertified=uncertified(snapshot),
         doubt=doubt,
         movable=movable,
+        fixed={tracked.id: tracked.fixture_probability for tracked in snapshot.objects},
         passed=[]
         if keeps_off or isinstance(answer, NoPath)
         else passed_by(answer.points, snapshot, movable, options.berth + robot.reach_m),
@@ -149,6 +151,8 @@ class Proof:
     movable: list[int]
     #: movable objects within reach of the path
     passed: list[int]
+    #: probability of each object to be a fixture
+    fixed: dict[int | None, float]
 
 
 def _as_driven(saved: SavedMap, at: str | None) -> tuple[MapSnapshot, SeenSurface | None]:
@@ -222,7 +226,15 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
         "floor_m": space.floor_z_m,
     }
     if isinstance(answer, NoPath):
-        blockers = [{"object": b.object_id, "distance_m": round(b.distance_m, 4)} for b in answer.blockers]
+        blockers = [
+            {
+                "object": b.object_id,
+                "kind": ObjectKind.of(proof.fixed[b.object_id]) if b.object_id in proof.fixed else None,
+                "fixture_probability": proof.fixed.get(b.object_id),
+                "distance_m": round(b.distance_m, 4),
+            }
+            for b in answer.blockers
+        ]
         return report | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
     return report | {
         "found": True,
@@ -254,6 +266,9 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
         stirring = [b.object_id for b in answer.blockers if b.object_id in proof.movable]
         if stirring:
             notes.append(f"note: these blocking objects tend to move, look again: {_listed(stirring)}")
+        fixed = [b.object_id for b in answer.blockers if proof.fixed.get(b.object_id, 0.0) > 0.5]
+        if fixed:
+            notes.append(f"note: these blocking objects are fixtures, which stay: {', '.join(map(str, fixed))}")
     if proof.doubt:
         notes.append(f"note: layer 4 is not proven: {proof.doubt}")
     if isinstance(answer, NoPath):

@@ -11,6 +11,7 @@ from hickory_stream.cli.option_values import add_at, open_map_at, parse_place, p
 from hickory_stream.cli.output_files import add_output, check_ending, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
+from hickory_stream.records import ObjectKind, kind_text
 
 if TYPE_CHECKING:
     import argparse
@@ -117,6 +118,8 @@ def _answer_json(index: MapIndex, answer: Answer) -> dict[str, Any]:
     i = index.ids.tolist().index(answer.id)
     return {
         "object": answer.id,
+        "kind": ObjectKind.of(index.fixed[i]),
+        "fixture_probability": round(float(index.fixed[i]), 4),
         "goal": f"object:{answer.id}",
         "score": answer.score,
         "center_m": [round(part, 4) for part in index.centers[i].tolist()],
@@ -143,6 +146,7 @@ def _listed(answers: Answers) -> str:
 
 
 def _line(index: MapIndex, answer: Answer) -> str:
-    x, y, z = index.centers[index.ids.tolist().index(answer.id)]
+    i = index.ids.tolist().index(answer.id)
+    x, y, z = index.centers[i]
     why = ", ".join(f"{text} {score:.2f}" for text, score in answer.why)
-    return f"#{answer.id:<5} {answer.score:.2f}  at ({x:.2f}, {y:.2f}, {z:.2f}) m: {why}"
+    return f"#{answer.id:<5} {answer.score:.2f}  {kind_text(index.fixed[i])} at ({x:.2f}, {y:.2f}, {z:.2f}) m: {why}"

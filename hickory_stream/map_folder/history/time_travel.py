@@ -15,7 +15,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.history.known_map import known_map
 from hickory_stream.map_folder.manifest import read_manifest
-from hickory_stream.records import MapSnapshot, PoseGraphRecord, TrackedObject
+from hickory_stream.records import MapSnapshot, PoseGraphRecord, TrackedObject, kind_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
 
-ChangeKind = Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
+ChangeKind = Literal[
+    "appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed", "kind changed"
+]
 
 _MOVED_M = 0.05
 _NS = "ns"
@@ -80,7 +82,9 @@ def changes(before: MapSnapshot, after: MapSnapshot) -> tuple[Change, ...]:
     for object_id in sorted(old.keys() | new.keys()):
         a, b = old.get(object_id), new.get(object_id)
         if a is None and b is not None:
-            found.append(Change(kind="appeared", object_id=object_id, text=f"at {_place(b)}"))
+            found.append(
+                Change(kind="appeared", object_id=object_id, text=f"at {_place(b)}, {kind_text(b.fixture_probability)}")
+            )
         elif a is not None and b is None and object_id in became:
             found.append(Change(kind="merged", object_id=object_id, text=f"is now a part of #{became[object_id]}"))
         elif a is not None and b is None:
@@ -163,6 +167,9 @@ def _changes_of(a: TrackedObject, b: TrackedObject) -> list[Change]:
         count = f"{len(a.shape.fitted)}" if a.shape is not None else "none"
         text = f"superquadrics {count} -> {len(b.shape.fitted)}"
         found.append(Change(kind="shape changed", object_id=b.id, text=text))
+    if a.kind is not b.kind:
+        text = f"{kind_text(a.fixture_probability)} -> {kind_text(b.fixture_probability)}"
+        found.append(Change(kind="kind changed", object_id=b.id, text=text))
     return found
 
 

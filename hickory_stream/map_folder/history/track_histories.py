@@ -50,7 +50,7 @@ class TrackHistory:
     born: Turn
     masks: list[Joined] = field(default_factory=list)
     turns: list[Turn] = field(default_factory=list)
-    #: Where it became a fixture, or an object again.
+    #: Where it became a fixture, or an object again, and its kind at the end.
     changes: list[Turn] = field(default_factory=list)
     #: None for a track in the map.
     ending: Ending | None = None

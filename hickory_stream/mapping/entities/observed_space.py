@@ -29,6 +29,7 @@ from hickory_stream.geometry.voxels import (
     union,
 )
 from hickory_stream.records import ObservedSpace, SpaceObservation
+from hickory_stream.storeys import STOREY_M
 
 # The height above a level up to which a column is examined, and the minimum share of it along which a column of a wall
 # has structure: the rest may be unobserved.
@@ -59,7 +60,6 @@ _MOST_VOTES = 240
 # A surface that lies this much lower is not a step of the floor: the presumed floor was a table, unless it is as large
 # as this area.
 _NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
-_STOREY_M = 2.4
 # The range of voxel indices.
 _FAR = 1 << 20
 
@@ -219,7 +219,7 @@ def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
     """Return the height of the presumed floor if a floor seen at `seen_m` refutes it, else None."""
     # It is refuted if the new floor is too far below it for a step, but not a storey, and it is no larger than a table.
     known_m = state.floor_z_m
-    if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < _STOREY_M:
+    if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < STOREY_M:
         return None
     level = state.surface[_is_level_at(state, known_m) & state.is_structure]
     columns = np.unique(cells_of_keys(level)[:, :2], axis=0)
@@ -244,7 +244,7 @@ def floor_change(state: SpaceState, seen_m: float | None, false_m: float | None)
 def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
     """Return whether the floor seen at `seen_m` belongs to another storey."""
     known_m = state.floor_z_m
-    return known_m is not None and seen_m is not None and abs(seen_m - known_m) > _STOREY_M / 2
+    return known_m is not None and seen_m is not None and abs(seen_m - known_m) > STOREY_M / 2
 
 
 def without_floor(state: SpaceState, false_m: float, seen_m: float | None) -> SpaceState:
@@ -383,5 +383,5 @@ def known_space(record: ObservedSpace) -> SpaceState:
 def _floor(known_m: float | None, seen_m: float | None) -> float | None:
     if known_m is None or seen_m is None:
         return known_m if seen_m is None else seen_m
-    is_another = seen_m < known_m - 0.06 or seen_m > known_m + _STOREY_M / 2
+    is_another = seen_m < known_m - 0.06 or seen_m > known_m + STOREY_M / 2
     return seen_m if is_another else 0.8 * known_m + 0.2 * seen_m

@@ -77,13 +77,12 @@ def judged(track: Track, space: SpaceState) -> tuple[Track, str]:
     """Return the track with its kind by the present evidence, and that in words."""
     signs, sides_m = signs_of(track, space), 2 * track.box.half_extents_m
     probability = fixture_probability(signs, sides_m)
-    kind = ObjectKind.FIXTURE if probability > 0.5 else ObjectKind.OBJECT
     why = (
         f"a fixture by {probability:.2f}; {signs.attached:.0%} of it and {signs.border:.0%} of its border at a wall, "
         f"{signs.structure:.0%} of looks took it for structure, {signs.rests:.0%} of its feet rest on something, "
         f"its box is {sides_m[0]:.1f} x {sides_m[1]:.1f} x {sides_m[2]:.1f} m"
     )
-    now = replace(track, kind=kind, fixture_probability=probability)
+    now = replace(track, kind=ObjectKind.of(probability), fixture_probability=probability)
     return replace(now, judged_points=len(track.solid), judged_sightings=track.sightings), why
 
 

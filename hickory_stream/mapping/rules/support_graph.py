@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import SpaceState, sees_structure
 from hickory_stream.mapping.rules.support_relations import (
+    LOWEST_PCT,
     Body,
     bottom_of_box_m,
     height_under,
@@ -31,8 +32,7 @@ from hickory_stream.mapping.rules.support_relations import (
     stands_in,
 )
 
-# The lowest points of a track: those up to this height above this percentile of z.
-_LOWEST_PCT = 2
+# The lowest points of a track: those up to this height above the lowest percentile of z.
 _FOOT_M = 0.05
 # The depths below the lowest points at which free space is checked: beyond the noise of the foot, a few voxels deep.
 _BELOW_M = (0.08, 0.13, 0.18)
@@ -56,7 +56,7 @@ def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body
     points = body.solid.points
     if space.floor_z_m is None or len(points) == 0:
         return None
-    low = float(np.percentile(points[:, 2], _LOWEST_PCT))
+    low = float(np.percentile(points[:, 2], LOWEST_PCT))
     if low < space.floor_z_m + _MIN_HEIGHT_M:
         return None
     foot = points[points[:, 2] < low + _FOOT_M]

@@ -19,11 +19,11 @@ from hickory_stream.mapping.entities.cloud import Cloud, is_near
 
 # The number of a body's points that are tested for lying on another one: gives the share to a few per cent.
 _SAMPLE = 600
-# The percentiles of z that stand for the lowest and the highest points of a body.
-_OUTLIERS_PCT = (2, 98)
+# The percentile of z that stands for the lowest points of a body, and from 100 for the highest.
+LOWEST_PCT = 2
 # Horizontal areas are counted in cells: of two voxels for a ring around a foot, of four for a board over a leg.
 _RING_CELL_M = 0.02
-_COVER_CELL_M = 0.04
+_COVER_CELL_M = 2 * _RING_CELL_M
 # The number of sectors around a body's centre in which points under it are counted.
 _SECTORS = 8
 
@@ -57,7 +57,7 @@ _MIN_POINTS = 10
 # Horizontal tolerance within which points beside a box count as over or under it: in general, for a thin leg, and for
 # boxes whose corners are uncertain.
 _BESIDE_M = 0.04
-_LEG_BESIDE_M = 0.08
+_LEG_BESIDE_M = 2 * _BESIDE_M
 _CORNER_M = 0.06
 # A leg and its table begin at heights that differ by at most this.
 _LEVEL_M = 0.15
@@ -71,17 +71,14 @@ _LEG_GAP_M = 0.3
 # must have at least this share of its own area covered by the table.
 _THIN_LEG = 0.04
 _LEG_COVERED = 0.4
-# A pot has this share of its box inside the box of the plant that stands in it; the lowest part of the plant, by this
-# share of its height, has this share of its points over the pot.
+# A pot has this share of its box inside the box of the plant that stands in it.
 _POT_INSIDE = 0.6
-_POT_SLICE = 0.15
-_POT_UNDER = 0.7
 # Maximum vertical distance between the lower end of a seat and the top of its foot, and minimum height of the seat
 # above the base of the foot.
 _FOOT_STEP_M = 0.2
 _FOOT_HEIGHT_M = 0.1
-# The lowest part of a seat, by this height or this share of its height, has this share of its points over the foot, and
-# covers this share of the foot's area.
+# The lowest part of a plant or a seat, by this share of its height, of a seat at least this high, has this share of its
+# points over the pot or foot; a seat covers this share of the foot's area.
 _FOOT_SLICE_M = 0.03
 _FOOT_SLICE = 0.15
 _FOOT_UNDER = 0.7
@@ -105,10 +102,9 @@ _RING_SHARE = 0.2
 _RING_BELOW_M = 0.04
 _RING_ABOVE_M = 0.02
 _RISE_M = 0.025
-# Points of another body are under a body from this far below its box to this far above, at most this far beside it.
+# Points of another body are under a body from this far below its box to this far above or beside it.
 _UNDER_BELOW_M = 0.1
-_UNDER_ABOVE_M = 0.03
-_UNDER_BESIDE_M = 0.03
+_UNDER_SLACK_M = 0.03
 # They are its support surface if they are in this many of eight sectors, at the height of this quantile.
 _UNDER_SECTORS = 4
 _UNDER_QUANTILE = 0.8
@@ -173,10 +169,10 @@ def stands_in(large: Body, small: Body) -> bool:
         return False
     points = large.solid.points
     low, high = float(large.bounds[0, 2]), float(large.bounds[1, 2])
-    foot = points[points[:, 2] < low + _POT_SLICE * (high - low)]
+    foot = points[points[:, 2] < low + _FOOT_SLICE * (high - low)]
     if len(foot) < _MIN_POINTS:
         return False
-    return float(small.box.is_over_or_under(foot, _BESIDE_M).mean()) > _POT_UNDER
+    return float(small.box.is_over_or_under(foot, _BESIDE_M).mean()) > _FOOT_UNDER
 
 
 def is_on_foot(upper: Body, lower: Body) -> bool:
@@ -263,8 +259,8 @@ def height_under(body: Body, other: Body) -> float | None:
     if bottom_of_box_m(other) > bottom - _LOWER_M:
         return None
     points = other.cloud.points
-    near = points[(points[:, 2] > bottom - _UNDER_BELOW_M) & (points[:, 2] < bottom + _UNDER_ABOVE_M)]
-    under = near[body.box.is_over_or_under(near, _UNDER_BESIDE_M)]
+    near = points[(points[:, 2] > bottom - _UNDER_BELOW_M) & (points[:, 2] < bottom + _UNDER_SLACK_M)]
+    under = near[body.box.is_over_or_under(near, _UNDER_SLACK_M)]
     if len(under) < _MIN_POINTS or not _surrounds(under, body.box):
         return None
     return float(np.quantile(under[:, 2], _UNDER_QUANTILE))
@@ -288,6 +284,6 @@ def _ends_m(cloud: Cloud) -> tuple[float, float]:
     # The lowest and the highest z without outliers; cached, since clouds are in many pairs.
     ends = _ENDS_M.get(cloud)
     if ends is None:
-        low, high = np.percentile(cloud.points[:, 2], _OUTLIERS_PCT)
+        low, high = np.percentile(cloud.points[:, 2], (LOWEST_PCT, 100 - LOWEST_PCT))
         ends = _ENDS_M[cloud] = (float(low), float(high))
     return ends

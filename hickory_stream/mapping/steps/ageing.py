@@ -221,14 +221,17 @@ class TrackTransition:
         return done
 
     def judge(self, growth: float = 0.0) -> None:
-        """Judge whether the track is an object or a fixture, if it has changed by more than a share since."""
+        """Judge whether the track is an object or a fixture, if it has changed by more than a share since.
+
+        Without a share, which is at the end, the reason is given also for a kind that stays.
+        """
         track = self.track
         has_grown = abs(len(track.solid) - track.judged_points) > growth * track.judged_points
         was_seen = track.sightings - track.judged_sightings > growth * track.judged_sightings
         if not self.state.is_judged(track) or not (has_grown or was_seen or growth == 0):
             return
         now, why = judged(track, self.space)
-        if now.kind is not track.kind:
+        if growth == 0 or now.kind is not track.kind:
             self.state.decide("kind", track.id, f"{now.kind} after {track.sightings} sightings: {why}")
         self.change(now)
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged_mask
+from hickory_stream.perception.masks import enlarged_mask
+from hickory_stream.perception.models.mask_pipeline import InstanceMask, MaskConfig, compose
 from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of

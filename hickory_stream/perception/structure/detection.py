@@ -15,13 +15,11 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
-from hickory_stream.perception.structure.ground import Ground, GroundConfig
+from hickory_stream.perception.structure.ground import AT_FLOOR_M, Ground, GroundConfig
 from hickory_stream.perception.structure.raised_patches import NearPlane
 from hickory_stream.perception.surface import Surface
+from hickory_stream.storeys import STOREY_M
 
-# Minimum height of a storey: a camera higher than this above the map's floor is on another storey, and a floor this
-# much lower than the map's floor is the floor of the storey below.
-_STOREY_M = 2.4
 # Minimum visible area of a floor.
 FLOOR_AREA_M2 = 0.25
 # Minimum visible area of a wall or ceiling.
@@ -134,10 +132,6 @@ def horizontal_planes(surface: Surface, areas_m2: NDArray[np.float32], *, min_ar
         smooth[max(0, peak - 4) : peak + 5] = 0.0
 
 
-# A plane that is at most this far above the map's floor is that floor.
-_AT_FLOOR_M = 0.06
-
-
 def floor_height_m(
     surface: Surface, planes: list[HorizontalPlane], known_m: float | None, config: StructureConfig
 ) -> float | None:
@@ -151,10 +145,11 @@ def floor_height_m(
     below = [plane for plane in planes if plane.area_m2 >= FLOOR_AREA_M2 and plane.z_m <= highest_m]
     if known_m is None:
         return below[0].z_m if below else None
-    if camera_z - known_m > _STOREY_M:
+    # A camera higher than a storey above the map's floor is on another storey.
+    if camera_z - known_m > STOREY_M:
         return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
     # A floor a storey lower belongs to the storey below, seen over a railing.
-    lower = [plane.z_m for plane in below if known_m - _STOREY_M < plane.z_m <= known_m + _AT_FLOOR_M]
+    lower = [plane.z_m for plane in below if known_m - STOREY_M < plane.z_m <= known_m + AT_FLOOR_M]
     return lower[0] if lower else known_m
 
 

@@ -189,7 +189,8 @@ def _is_ground(
 # Minimum shares of a region that is structure in the map (to start from it; to know it surely as ground), and how many
 # cells of it must be at the height of the floor.
 _KNOWN_SHARE, _SURELY_KNOWN = 0.25, 0.6
-_AT_FLOOR_M = 0.06
+# A level within this distance of the map's floor is that floor.
+AT_FLOOR_M = 0.06
 _AT_FLOOR_CELLS = 3
 
 
@@ -205,7 +206,7 @@ def _first_regions(
     if len(large) == 0:
         return set()
     if floor_z_m is not None:
-        near = np.abs(grid.z_m - np.float32(floor_z_m)) < _AT_FLOOR_M + grid.slack_m
+        near = np.abs(grid.z_m - np.float32(floor_z_m)) < AT_FLOOR_M + grid.slack_m
         at_floor = [int(i) for i in large if int((near & (regions == i)).sum()) >= _AT_FLOOR_CELLS]
         if at_floor:
             return set(at_floor)

@@ -18,7 +18,7 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.display import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.records import ObjectShape, Phase, TrackedObject
+from hickory_stream.records import ObjectShape, Phase, TrackedObject, kind_text
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.meshes import placed_mesh, superquadric_mesh, textured_layer2
 
@@ -161,15 +161,13 @@ def _sketch_item(seen: TrackedObject, sketch: Superquadrics) -> LogItem:
 
 
 def _box_items(seen: TrackedObject) -> list[LogItem]:
-    facts = ("fixture",) * seen.is_fixture + (seen.phase,) * (seen.phase is not Phase.ACTIVE)
-    label = " ".join((str(seen.id), *facts))
     box: dict[str, Any] = {
         "centers": [seen.box.center],
         "half_sizes": [seen.box.half_extents_m],
         "quaternions": [rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
         "colors": shaded(color_of_id(seen.id, is_fixture=seen.is_fixture), _FADED[seen.phase]),
         "radii": -1.5 if seen.phase is Phase.ACTIVE else -0.7,
-        "labels": [label],
+        "labels": [_label(seen)],
         "show_labels": False,
     }
     lines, filled = rr.components.FillMode.MajorWireframe, rr.components.FillMode.TransparentFillMajorWireframe
@@ -181,10 +179,15 @@ def _box_items(seen: TrackedObject) -> list[LogItem]:
     ]
 
 
+def _label(seen: TrackedObject) -> str:
+    phase = (seen.phase,) * (seen.phase is not Phase.ACTIVE)
+    return " ".join((str(seen.id), kind_text(seen.fixture_probability), *phase))
+
+
 def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
     return (
         a.phase is b.phase
-        and a.kind is b.kind
+        and kind_text(a.fixture_probability) == kind_text(b.fixture_probability)
         and _same(a.box.world_from_box, b.box.world_from_box)
         and _same(a.box.half_extents_m, b.box.half_extents_m)
     )

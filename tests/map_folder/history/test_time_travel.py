@@ -20,7 +20,7 @@ from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.mapping.entities.cloud import is_packed
 from hickory_stream.ports import Sink
-from hickory_stream.records import FrameReport
+from hickory_stream.records import FrameReport, ObjectKind
 from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 from tests.engine.snapshot_fixtures import make_snapshot
@@ -160,6 +160,9 @@ def test_differences_know_merged_moved_and_dropped_objects():
     (change,) = changes(before, replace(before, objects=(moved, *before.objects[1:])))
     assert change.kind == "moved"
     assert "by 0.30 m" in change.text
+    attached = replace(first, kind=ObjectKind.FIXTURE, fixture_probability=0.75)
+    (change,) = changes(before, replace(before, objects=(attached, *before.objects[1:])))
+    assert (change.kind, change.text) == ("kind changed", "object 1.00 -> fixture 0.75")
 
 
 def test_only_points_and_space_need_the_events(watched, monkeypatch):

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig, FastSamSegmenter
+from hickory_stream.perception.models.mask_pipeline import MaskConfig
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, suppressed

@@ -20,7 +20,7 @@ from hickory_stream.evaluation.reach import depth_on_labels
 from hickory_stream.evaluation.surface_score import area_m2, generated_m2
 from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.evaluation.truth_sightings import middle
-from hickory_stream.evaluation.why import NoWhy, reasons_of
+from hickory_stream.evaluation.why import investigate, why_of
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter
@@ -47,9 +47,8 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
     ports = {"segmenter": segmenter_of(rung, images, config), "core": core_of(rung, images, config)}
     play_into(out, open_source(str(log)), config, **ports)
     saved = open_map(out)
-    found, meshes, why = evaluate(saved, truth), meshes_of(saved), reasons_of(saved, truth)
-    if isinstance(why, NoWhy):
-        raise RecordingError(f"{out}: what is missed has no reasons: {why.reason}")
+    history = investigate(saved, truth)
+    found, meshes, why = evaluate(saved, truth, history.score), meshes_of(saved), why_of(history)
     reasons = {item.truth_id: item.reason for item in why.missed}
     origins = {item.map_id: item.origin for item in why.false}
     matched, strict = {row.map_id for row in found.objects}, {row.strict_map_id for row in found.objects}

@@ -16,13 +16,22 @@ from tools.benchmarks.common.processes import ROOT
 PACKAGES = ("perception", "mapping")
 _TREES = "used when the trees were grown"
 _NETWORK = "used when the network was trained"
+_SHAPES, _SUBMAPS = "when shapes are computed", "in which submap an object is kept"
+_WHOLE = "held or searched beyond what any check looks at"
 NOT_DECIDING = {
     "perception.fastsam.": "of a network that is not installed by default",
     "perception.network.": "how a network is run",
     "perception.dinov2.": "of a network that is not installed by default",
+    "perception.masks.": "of a network that is not installed by default",
     "perception.semantic.": "of a network that is not installed by default",
-    "mapping.requests.": "when shapes are computed", "mapping/track.py:_SKETCH_GROWTH": "when a sketch is drawn again",
-    "mapping.submaps.": "in which submap an object is kept",
+    "mapping.requests.": _SHAPES, "mapping/track.py:_SKETCH_GROWTH": "when a sketch is drawn again",
+    "mapping.submaps.": _SUBMAPS, "mapping/submaps.py:_DRIFT": _SUBMAPS,
+    "mapping/submaps.py:LEAST_BESIDE_M": _WHOLE, "mapping/submaps.py:_MOST_BESIDE_M": _WHOLE,
+    "mapping/track_table.py": _WHOLE, "mapping/derived.py:_KEEP_KEYFRAMES": "how long a cloud is not packed",
+    "mapping/space_agreement.py:_MOST_SPACES": "how many spaces are held at once",
+    "mapping/floor_warnings.py": "what people are warned of",
+    "mapping/ageing.py:_REFUTED_SHARE": _SHAPES, "mapping/ageing.py:_MADE_UP": _SHAPES,
+    "mapping/ageing.py:_INWARDS": _SHAPES, "mapping/ageing.py:_ROUNDING_NS": "equality but for rounding",
     "perception/descriptor.py": "appearance, for places and alignment",
     "perception/coarse.py": "for people who ask why", "perception/pixel_inputs.py": _NETWORK,
     "perception/pixel_network.py": _NETWORK, "perception/fragment_odds.py": _TREES,
@@ -30,7 +39,7 @@ NOT_DECIDING = {
     "perception/region_extents.py": _TREES, "perception/region_graph.py": _TREES, "perception/contacts.py": _TREES,
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
     "perception/detection.py:_AZIMUTHS": "the bins of a histogram", "perception/space.py": "the layout of keys",
-    "mapping/shape_requests.py": "when shapes are computed", "mapping/views.py:_SECTORS": "how many views are kept",
+    "mapping/shape_requests.py": _SHAPES, "mapping/views.py:_SECTORS": "how many views are kept",
     "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/association.py:_TIE": "equality but for rounding",
     "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",

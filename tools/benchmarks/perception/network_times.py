@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.perception.masks import MaskConfig, compose
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
+from hickory_stream.perception.models.mask_pipeline import MaskConfig, compose
 from hickory_stream.perception.models.network import Tensor
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
