@@ -64,6 +64,18 @@ def test_a_check_runs_the_model_on_a_picture_and_draws_it(fastsam, tmp_path, cap
     assert cv2.imread(str(tmp_path / "a.png")).shape == (400, 600, 3)
 
 
+def test_nothing_is_fetched_before_size_and_licence_are_agreed(folder, tmp_path, capsys):
+    status, out, err = said(capsys, "models", "get", "fastsam-s")
+    assert (status, out) == (2, "")
+    assert re.search(r"24 MB from https://.*\n.*FastSAM-s.pt \(23.9 MB\)\n.*AGPL-3.0 \(ultralytics\)", err)
+    assert re.search(r"install the extra: pip install|agree with --yes", err)
+    assert not folder.exists()
+    (tmp_path / "half.pt").write_bytes(b"not weights")
+    status, _, err = said(capsys, "models", "add", tmp_path / "half.pt", "--kind", "semantic")
+    assert status == 2
+    assert "only fastsam, dinov2, oneformer can be exported" in err
+
+
 def test_what_is_missing_or_broken_is_refused_in_a_sentence(folder, tmp_path, capsys):
     status, _, err = said(capsys, "models", "check", "dinov2-small")
     assert status == 2
