@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hickory_stream.perception.models.library import Kind, ModelEntry
     from hickory_stream.perception.models.published import Published
 
-KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
+KINDS = ("fastsam", "sam", "dinov2", "oneformer", "semantic", "image-text")
 # Those of `perception.models.published`, whose import takes longer than help may.
 _PUBLISHED = ("fastsam-s", "fastsam-x", "dinov2-small", "oneformer-ade20k")
 
@@ -35,7 +35,7 @@ def add_adding(actions: Commands) -> None:
     getting.add_argument("--yes", action="store_true", help="agree to the download and its licence")
     _add_input_px(getting)
     adding = actions.add("add", _add)
-    adding.add_argument("file", type=Path, metavar="FILE", help="ONNX, or weights; folder of an image-text pair")
+    adding.add_argument("file", type=Path, metavar="FILE", help="ONNX, or weights; of a pair, the folder")
     adding.add_argument("--kind", required=True, choices=KINDS)
     adding.add_argument("--name", help="name in the configuration; default: the file name without ending")
     adding.add_argument("--source", default="added by hand", help="origin of the weights")
@@ -108,6 +108,10 @@ def _add(options: argparse.Namespace) -> int:
         if options.labels is not None:
             raise ConfigError("found --labels for an image-text network, which has no classes; leave it out")
         return _add_files(options, kind, published_files(path), texts)
+    if kind == "sam":
+        from hickory_stream.perception.models.sam import pair_of
+
+        return _add_files(options, kind, pair_of(path), texts)
     if path.suffix != ".onnx" and path.exists():
         return _export(options, kind, path, texts)
     return _add_files(options, kind, {"graph": path}, texts, labels=_read_labels(options.labels))
@@ -160,10 +164,14 @@ def _checked(kind: Kind, files: Mapping[str, Path], labels: tuple[str, ...]) -> 
     from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
     from hickory_stream.perception.models.image_text import ImageTextNetwork
     from hickory_stream.perception.models.network import Network, NetworkConfig
+    from hickory_stream.perception.models.sam import Sam, SamConfig
     from hickory_stream.perception.models.semantic_graph import GraphSemantics, PanopticConfig
 
     config = NetworkConfig(provider="cpu", warm_up=False)
     network = Network(next(iter(files.values())), config)
+    if kind == "sam":
+        Sam(network, Network(files["decoder"], config), SamConfig(), warm_up=False)
+        return 0, 0
     height, width = network.require_image_input(kind)
     match kind:
         case "fastsam":

@@ -110,6 +110,7 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
     from hickory_stream.perception.models.fastsam import FastSam
     from hickory_stream.perception.models.image_text import open_image_text
     from hickory_stream.perception.models.preprocessing import built_in_picture
+    from hickory_stream.perception.models.sam import open_sam
     from hickory_stream.perception.models.semantic_graph import GraphSemantics
     from hickory_stream.pictures.show_perception import classes_picture, features_picture, masks_picture
 
@@ -118,6 +119,9 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
     match entry.kind:
         case "fastsam":
             masks, num_not_finite = FastSam(network, config.fastsam, warm_up=warm_up).masks(rgb)
+            return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
+        case "sam":
+            masks, num_not_finite = open_sam(entry, network, config.network, config.sam).masks(rgb)
             return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
         case "dinov2":
             patches = DinoExtractor(network, config.dinov2, warm_up=warm_up).extract(rgb)

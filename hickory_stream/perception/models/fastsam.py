@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -101,11 +102,18 @@ class FastSam:
         return masks, found.num_not_finite
 
 
+class MaskNetwork(Protocol):
+    """A network that gives masks which may overlap."""
+
+    def masks(self, rgb: NDArray[np.uint8]) -> tuple[list[InstanceMask], int]:
+        """Return the masks of an image (H, W, 3), best first, and how many are not finite; raises `ModelError`."""
+
+
 class FastSamSegmenter:
-    """A `Segmenter`: instances from the network's masks, room structure from geometry."""
+    """A `Segmenter`: instances from the masks of FastSAM or another network, room structure from geometry."""
 
     def __init__(
-        self, network: FastSam, *, masks: MaskConfig, surface: SurfaceConfig, structure: StructureConfig
+        self, network: MaskNetwork, *, masks: MaskConfig, surface: SurfaceConfig, structure: StructureConfig
     ) -> None:
         self._network, self._masks = network, masks
         self._surface, self._structure = surface, structure

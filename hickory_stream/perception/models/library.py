@@ -23,7 +23,7 @@ from platformdirs import user_data_path
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import ModelError
 
-Kind = Literal["fastsam", "dinov2", "oneformer", "semantic", "image-text"]
+Kind = Literal["fastsam", "sam", "dinov2", "oneformer", "semantic", "image-text"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 MANIFEST = "manifest.json"
@@ -36,6 +36,7 @@ _PUBLISHED: dict[Kind, tuple[str, ...]] = {
     "oneformer": ("oneformer-ade20k",),
 }
 _GRAPHS: dict[Kind, str] = {
+    "sam": "any folder with encoder and decoder of SAM, MobileSAM or SAM 2 as ONNX",
     "semantic": "any graph that gives class scores per pixel (1, K, h, w), or class ids (1, h, w)",
     "image-text": "any folder with a pair of graphs as CLIP has them, their tokenizer and their pre-processing",
 }
@@ -199,7 +200,7 @@ def _require_intact(path: Path, sha256: str, entry: ModelEntry) -> None:
 
 def how_to_get(name: str, kind: Kind) -> str:
     """Return instructions to get a model of this name and kind."""
-    file = "FOLDER" if kind == "image-text" else f"{name}.onnx"
+    file = "FOLDER" if kind in ("sam", "image-text") else f"{name}.onnx"
     adds = f"`hickory-stream models add {file} --kind {kind} --name {name}`"
     if kind in _GRAPHS:
         return f"add {_GRAPHS[kind]}, with {adds}"

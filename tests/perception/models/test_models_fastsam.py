@@ -140,7 +140,7 @@ def test_graphs_of_other_kinds_are_refused_with_what_they_have(tmp_path):
 
 
 def segmenter_of(file):
-    network = FastSam(Network(file, CPU), FastSamConfig(max_masks=1000))
+    network = FastSam(Network(file, CPU), FastSamConfig(max_masks=3000))
     return FastSamSegmenter(network, masks=MaskConfig(), surface=SurfaceConfig(), structure=StructureConfig())
 
 
@@ -181,15 +181,15 @@ def test_a_network_that_gives_nan_gives_no_instance_and_says_so(tmp_path, caplog
     assert "NaN" in caplog.text
 
 
-def test_a_thousand_masks_are_sorted_out(tmp_path):
+def test_three_thousand_masks_are_sorted_out(tmp_path):
     frame, _ = box_scene()
     rng = np.random.default_rng(4)
-    boxes = np.concatenate([rng.uniform(8, 56, (1000, 2)), rng.uniform(2, 20, (1000, 2))], axis=1)
-    file = graph(tmp_path / "a.onnx", boxes, scores=rng.uniform(0.5, 1, 1000))
+    boxes = np.concatenate([rng.uniform(8, 56, (3000, 2)), rng.uniform(2, 20, (3000, 2))], axis=1)
+    file = graph(tmp_path / "a.onnx", boxes, scores=rng.uniform(0.5, 1, 3000))
     result = segmenter_of(file).segment(frame)
     count = int(result.instances.max())
     assert set(np.unique(result.instances)) == set(range(count + 1))
-    assert len(result.rejected) + count <= 1000
+    assert len(result.rejected) + count <= 3000
     assert all(r.reason for r in result.rejected)
 
 
