@@ -1,3 +1,4 @@
+from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
@@ -170,6 +171,19 @@ def test_the_mask_of_a_thing_is_an_instance_and_the_floor_is_not(tmp_path):
     (rejected,) = result.rejected
     assert "floor, wall or ceiling" in rejected.reason
     assert rejected.mask.shape == (rejected.box_px[3] - rejected.box_px[1], rejected.box_px[2] - rejected.box_px[0])
+
+
+def test_masks_are_the_same_at_another_pose_of_the_frame(tmp_path):
+    frame, _ = box_scene()
+    segmenter = segmenter_of(graph(tmp_path / "a.onnx", [(32, 32, 20, 20)]))
+    turned = frame.world_from_camera.copy()
+    turned[:3, 3] += (0.1, -0.2, 0.05)
+    moved = replace(frame, world_from_camera=turned)
+    ahead = segmenter.moved(segmenter.prepare(frame), turned)
+    np.testing.assert_array_equal(ahead.surface.points_world, segmenter.prepare(moved).surface.points_world)
+    one, other = segmenter.segment(moved, None, ahead), segmenter.segment(moved)
+    assert (one.instances == other.instances).all()
+    assert one.floor_z_m == other.floor_z_m
 
 
 def test_a_network_that_gives_nan_gives_no_instance_and_says_so(tmp_path, caplog):
