@@ -32,32 +32,26 @@ def package():
     except ImportError:
         from PIL import Image
 
+        def area(boxes):
+            return (boxes[:, 2:] - boxes[:, :2]).prod(dim=1)
+
         def nms(boxes, scores, _categories, iou_threshold):
             kept = []
             for i in torch.argsort(-scores, stable=True).tolist():
                 low, high = torch.maximum(boxes[kept, :2], boxes[i, :2]), torch.minimum(boxes[kept, 2:], boxes[i, 2:])
                 shared = (high - low).clamp(min=0).prod(dim=1)
-                total = area(boxes[kept]) + area(boxes[i : i + 1]) - shared
-                if not (shared / total > iou_threshold).any():
+                if not (shared / (area(boxes[kept]) + area(boxes[[i]]) - shared) > iou_threshold).any():
                     kept.append(i)
             return torch.tensor(kept, dtype=torch.long)
-
-        def area(boxes):
-            return (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
 
         def resize(image, size):
             return image.resize(size[::-1], Image.Resampling.BILINEAR)
 
-        for name, functions in {
-            "torchvision": {},
-            "torchvision.ops": {},
-            "torchvision.ops.boxes": {"batched_nms": nms, "box_area": area},
-            "torchvision.transforms": {},
-            "torchvision.transforms.functional": {"resize": resize, "to_pil_image": Image.fromarray},
-        }.items():
-            module = types.ModuleType(name)
+        functions = {"batched_nms": nms, "box_area": area, "resize": resize, "to_pil_image": Image.fromarray}
+        for name in ("", ".ops", ".ops.boxes", ".transforms", ".transforms.functional"):
+            module = types.ModuleType(f"torchvision{name}")
             module.__dict__.update(functions)
-            patch.setitem(sys.modules, name, module)
+            patch.setitem(sys.modules, module.__name__, module)
     yield pytest.importorskip("segment_anything")
     patch.undo()
 

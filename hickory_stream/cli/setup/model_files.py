@@ -59,7 +59,10 @@ def _get(options: argparse.Namespace) -> int:
     if options.origin is None or "://" in options.origin:
         _confirm(is_agreed=options.yes)
     downloads = models_folder() / "downloads" / model.name
-    collect(model, downloads, options.origin, lambda done: _show_progress(done, model.num_bytes))
+    try:
+        collect(model, downloads, options.origin, lambda done: _show_progress(done, model.num_bytes))
+    finally:
+        _show_progress(0, 0)
     weights = downloads / model.files[0].name if len(model.files) == 1 else downloads
     texts = {"name": model.name, "source": model.source, "licence": model.licence}
     status = _export(options, model.kind, weights, texts)

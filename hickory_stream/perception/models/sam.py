@@ -124,20 +124,16 @@ class Sam:
         return _without_duplicates(found), num_not_finite
 
     def _place(self, width: int, height: int) -> _Place:
-        low, side = self._low_px, 4 * self._low_px
-        if not self._pads:
-            rows, columns = (taps_along(n, size=low, factor=1, first=0, count=low) for n in (height, width))
-            return _Place(width=width, height=height, inner_width=side, inner_height=side, rows=rows, columns=columns)
-        inner_width, inner_height = (int(n * side / max(width, height) + 0.5) for n in (width, height))
-        inner_width, inner_height = max(1, inner_width), max(1, inner_height)
-        # The original enlarges masks to the network's image first, cuts its padding off, and resizes them again.
+        low, side, longer = self._low_px, 4 * self._low_px, max(width, height)
+        inner = [max(1, int(n * side / longer + 0.5)) if self._pads else side for n in (width, height)]
+        # SAM 1 enlarges masks to the network's image first, cuts its padding off, and resizes them again.
+        factor = 4 if self._pads else 1
+        columns, rows = (
+            taps_along(n, size=low, factor=factor, first=0, count=count * factor // 4)
+            for n, count in zip((width, height), inner, strict=True)
+        )
         return _Place(
-            width=width,
-            height=height,
-            inner_width=inner_width,
-            inner_height=inner_height,
-            rows=taps_along(height, size=low, factor=4, first=0, count=inner_height),
-            columns=taps_along(width, size=low, factor=4, first=0, count=inner_width),
+            width=width, height=height, inner_width=inner[0], inner_height=inner[1], rows=rows, columns=columns
         )
 
     def _image(self, rgb: NDArray[np.uint8], place: _Place) -> NDArray[Any]:
