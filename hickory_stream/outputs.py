@@ -604,7 +604,10 @@ OUTPUTS: dict[str, Any] = {
     "generators-check": GeneratorChecked,
     "models-where": ("Folder of the models.", {"folder": str}),
     "models-list": ("Networks in the folder of models.", {"folder": str, "models": list[Model]}),
-    "models-add": ("A network that was added.", {"name": str, "file": str, "sha256": str}),
+    "models-add": (
+        "A network that was added; `compared` says how an exported graph agrees with its package.",
+        {"name": str, "file": str, "sha256": str, "licence": str, "compared": str | None},
+    ),
     "models-check": ModelChecked,
     "config-dump": "hickory_stream.settings.Settings",
     "config-check": ("A valid configuration; an error otherwise.", {"ok": Literal[True]}),

@@ -87,11 +87,15 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Segment one frame and draw masks, rejected masks with reasons, and features.",
         "segment color.png depth.png --intrinsics 525,525,319.5,239.5 -o segments.png",
     ),
-    "models": ("Manage the networks of this machine; nothing is downloaded.", "models list"),
+    "models": ("Manage the networks of this machine; only `models get` downloads.", "models list"),
     "models where": ("Print the folder of models ($HICKORY_MODELS).", "models where"),
     "models list": ("List the models, and check their hashes.", "models list --json"),
+    "models get": (
+        "Fetch published weights, export them to ONNX, and compare the graph with the package's own prediction.",
+        "models get fastsam-s --yes",
+    ),
     "models add": (
-        "Copy an ONNX file to the folder of models, with an entry in its manifest.",
+        "Copy a network to the folder of models, with an entry in its manifest; weights are exported to ONNX first.",
         "models add my.onnx --kind semantic --labels names.txt",
     ),
     "generators": (

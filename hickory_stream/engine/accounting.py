@@ -19,8 +19,8 @@ _IMAGES_PER_FRAME = 2
 def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     """Return the account of a source's messages, {} if it keeps none.
 
-    `frames` are the run's counts: `read`, `keyframes`, `keyframes_kept_out`, `frames_undecodable`. After several rounds
-    of a log, the account is of the last round, and images are not divided by use.
+    `frames` are the run's counts: `read`, `keyframes`, `keyframes_kept_out`, `keyframes_failed`, `frames_undecodable`.
+    After several rounds of a log, the account is of the last round, and images are not divided by use.
     """
     kept = account_of(source)
     if kept is None:
@@ -32,7 +32,7 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
         return account
     torn = frames.get("frames_undecodable", 0)
     # Rejected keyframes were decoded too.
-    needed = frames.get("keyframes", 0) + frames.get("keyframes_kept_out", 0)
+    needed = sum(frames.get(name, 0) for name in ("keyframes", "keyframes_kept_out", "keyframes_failed"))
     skipped = _IMAGES_PER_FRAME * max(0, found - needed - torn)
     account["not_keyframe"] = skipped
     account["not_needed"] += skipped

@@ -64,7 +64,7 @@ class FrameOutcome(StrEnum):
     """The outcome of a frame; the values are the names of the counts.
 
     `DROPPED`: mapping could not keep up. `UNDECODABLE`: the images of a keyframe are torn. `KEPT_OUT`: a keyframe does
-    not fit the map.
+    not fit the map. `FAILED`: a network failed on it.
     """
 
     MAPPED = "keyframes"
@@ -72,6 +72,7 @@ class FrameOutcome(StrEnum):
     DROPPED = "keyframes_dropped"
     UNDECODABLE = "frames_undecodable"
     KEPT_OUT = "keyframes_kept_out"
+    FAILED = "keyframes_failed"
 
 
 class KeyframeChoice:
@@ -85,8 +86,7 @@ class KeyframeChoice:
     def outcomes(self, reads: Sequence[QueuedFrame]) -> list[FrameOutcome]:
         """Return the outcome of each frame, as far as it is known before decoding."""
         if self._mode == "playback":
-            between = {True: FrameOutcome.UNDECODABLE, False: FrameOutcome.BETWEEN}
-            return [FrameOutcome.MAPPED if r.is_candidate else between[r.is_corrupt] for r in reads]
+            return [_outcome_of(read) for read in reads]
         poses = [(read.raw.stamp_ns, read.raw.world_from_camera) for read in reads]
         keyframes = [i for i, pose in enumerate(poses) if is_keyframe(self._mapped, *pose, self._config)]
         chosen = keyframes[-1] if keyframes else None
@@ -101,3 +101,11 @@ class KeyframeChoice:
         if chosen is not None:
             outcomes[chosen] = FrameOutcome.MAPPED
         return outcomes
+
+
+def _outcome_of(read: QueuedFrame) -> FrameOutcome:
+    if read.is_candidate:
+        return FrameOutcome.MAPPED
+    if read.has_failed:
+        return FrameOutcome.FAILED
+    return FrameOutcome.UNDECODABLE if read.is_corrupt else FrameOutcome.BETWEEN

@@ -6,7 +6,9 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, StopRequest, on_thread
 from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.engine.modes import Mode
-from hickory_stream.errors import RecordingError
+from hickory_stream.errors import ModelError, RecordingError
 from hickory_stream.geometry.depth_sensor import SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
@@ -25,6 +27,8 @@ from hickory_stream.poses.surface_image import SurfaceImage
 from hickory_stream.records import Frame, RawFrame
 
 logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 _FRAMES_AHEAD = 16
 """More than lie between two keyframes at 30 Hz: with fewer, one is only decoded when that before it is mapped."""
@@ -57,7 +61,11 @@ class QueuedFrame:
     #: Decoded, for a candidate of a playback.
     frame: Frame | None = None
     ahead: Prefetched = field(default_factory=Prefetched)
+    #: Computes `ahead`, of a playback.
+    pending: asyncio.Task[Prefetched | ModelError] | None = None
     is_corrupt: bool = False
+    #: A network failed on it.
+    has_failed: bool = False
     #: Losses since the frame before.
     counts: Mapping[str, int] = field(default_factory=dict)
     #: Monotonic time of arrival.
@@ -68,6 +76,8 @@ class Reader:
     """Reads a source on a thread into a channel, until the source or the run ends.
 
     A playback queues few frames, fewer of them decoded, and waits. A live run queues the newest second, compressed.
+    Networks have threads of their own: masks and features of several decoded frames are computed side by side. They do
+    not share a batch, since other sizes of a batch give other last bits, and a resumed run would form others.
     """
 
     def __init__(
@@ -83,6 +93,12 @@ class Reader:
         )
         self._room = asyncio.Semaphore(_DECODED_AHEAD)
         self._thread = ThreadPoolExecutor(1, "read")
+        perception = config.perception
+        has_masks = perception.segmenter in ("fastsam", "sam") or perception.semantics != "none"
+        has_features = perception.extractor != "color_texture"
+        self._masks_thread = ThreadPoolExecutor(1, "masks") if has_masks else self._thread
+        self._features_thread = ThreadPoolExecutor(1, "features") if has_features else self._thread
+        self._has_worked = False
         self.decode_s = 0.0
         #: Losses since the last queued frame (playback).
         self.lost: Counter[str] = Counter()
@@ -97,12 +113,14 @@ class Reader:
     async def read(self, source: Source, *, rate: float | None, loops: int, start: Position) -> None:
         """Read `loops` rounds of a source; a playback begins at a position."""
         try:
-            if self._mode == "live":
-                await self._follow(source, Pacer(rate), loops)
-            else:
-                await self._play(source, Pacer(rate), loops, start)
-        except ChannelClosed:
-            pass  # the other side has ended
+            async with asyncio.TaskGroup() as group:
+                with suppress(ChannelClosed):  # the other side has ended
+                    if self._mode == "live":
+                        await self._follow(source, Pacer(rate), loops)
+                    else:
+                        await self._play(source, Pacer(rate), loops, start, group)
+        except ExceptionGroup as error:
+            raise error.exceptions[0] from error
         finally:
             await self._channel.close()
 
@@ -116,7 +134,25 @@ class Reader:
             return None
         if read.frame is not None:
             self._room.release()
-        return [read]
+        if read.pending is None:
+            return [read]
+        ahead = self.accepted(await read.pending, read.raw.index)
+        if ahead is None:
+            return [replace(read, frame=None, pending=None, is_candidate=False, has_failed=True)]
+        return [replace(read, ahead=ahead, pending=None)]
+
+    def accepted(self, found: T | ModelError, index: int) -> T | None:
+        """Return what networks found in a frame, None if one failed after others of the run worked.
+
+        Raises `ModelError`: none has worked yet.
+        """
+        if not isinstance(found, ModelError):
+            self._has_worked = True
+            return found
+        if not self._has_worked:
+            raise found
+        logger.warning("frame %d is left out: %s", index, found)
+        return None
 
     async def end(self) -> None:
         """Accept no more frames."""
@@ -124,10 +160,11 @@ class Reader:
         self._room.release()  # a waiting sender finds the channel closed
 
     def close(self) -> None:
-        """Wait for the thread to end."""
-        self._thread.shutdown(wait=True)
+        """Wait for the threads to end."""
+        for thread in (self._thread, self._masks_thread, self._features_thread):
+            thread.shutdown(wait=True)
 
-    async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
+    async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position, group: asyncio.TaskGroup) -> None:
         keyframe, last_ns = start.keyframe, start.last_ns
         offset, index = start.first_index, start.last_index
         for round_index in range(start.round_index, loops):
@@ -144,7 +181,7 @@ class Reader:
                     continue
                 last_ns = raw.stamp_ns
                 await pacer.wait(raw.stamp_ns, self._stop.event)
-                frame, ahead, is_corrupt = None, Prefetched(), False
+                frame, pending, is_corrupt = None, None, False
                 if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                     await self._room.acquire()
                     frame = await self._decoded(raw, index)
@@ -153,14 +190,14 @@ class Reader:
                         self._room.release()
                 if frame is not None:
                     keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                    ahead = await self._ahead(frame)
+                    pending = group.create_task(self._ahead(frame), name=f"ahead-{index}")
                 queued = QueuedFrame(
                     raw=replace(raw, index=index),
                     round_index=round_index,
                     first_index=offset,
                     is_candidate=frame is not None,
                     frame=frame,
-                    ahead=ahead,
+                    pending=pending,
                     is_corrupt=is_corrupt,
                     counts=dict(self.lost),
                     arrived_s=time.monotonic(),
@@ -207,18 +244,20 @@ class Reader:
         """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.max_late_s * 1e9
 
-    async def _ahead(self, frame: Frame) -> Prefetched:
+    async def _ahead(self, frame: Frame) -> Prefetched | ModelError:
         config = self._config
-        space, lattice = config.perception.space, config.mapping.voxels
-        surface: SurfaceImage | None = None
-        if config.registration.enabled:
-            surface = await on_thread(self._thread, keyframe_surface, frame)
-        return Prefetched(
-            prepared=await on_thread(self._thread, self._segmenter.prepare, frame),
-            patches=await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb)),
-            surface=surface,
-            free_keys=await on_thread(self._thread, free_space, frame, space, lattice),
-        )
+        surface_of = keyframe_surface if config.registration.enabled else _no_surface
+        try:
+            # Those of one thread run in this order.
+            surface, prepared, patches, free_keys = await asyncio.gather(
+                on_thread(self._thread, surface_of, frame),
+                on_thread(self._masks_thread, self._segmenter.prepare, frame),
+                on_thread(self._features_thread, self._extractor.extract, np.asarray(frame.rgb)),
+                on_thread(self._thread, free_space, frame, config.perception.space, config.mapping.voxels),
+            )
+        except ModelError as error:
+            return error
+        return Prefetched(prepared=prepared, patches=patches, surface=surface, free_keys=free_keys)
 
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
         started = time.perf_counter()
@@ -229,6 +268,10 @@ class Reader:
             return None
         self.decode_s += time.perf_counter() - started
         return sensed(frame, index, self._config.sensor)
+
+
+def _no_surface(_: Frame) -> SurfaceImage | None:
+    return None
 
 
 def sensed(frame: Frame, index: int, config: SensorConfig) -> Frame:

@@ -6,6 +6,7 @@ from typing import assert_never
 
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
+from hickory_stream.perception.models.fastsam import MaskNetwork
 from hickory_stream.perception.models.library import Kind, ModelEntry
 from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.perceive import PerceptionConfig
@@ -65,10 +66,21 @@ def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
 
             return NetworkSegmenter(PixelNetwork(), config.affinities, config.geometric)
         case "fastsam":
-            from hickory_stream.perception.models.fastsam import FastSam, FastSamSegmenter
+            from hickory_stream.perception.models.fastsam import FastSam
 
             _, network = _network(config, config.fastsam.model, "fastsam")
-            sam, geometric = FastSam(network, config.fastsam, warm_up=config.network.warm_up), config.geometric
-            return FastSamSegmenter(sam, masks=config.masks, surface=geometric.surface, structure=geometric.structure)
+            return _of_masks(config, FastSam(network, config.fastsam, warm_up=config.network.warm_up))
+        case "sam":
+            from hickory_stream.perception.models.sam import open_sam
+
+            entry, encoder = _network(config, config.sam.model, "sam")
+            return _of_masks(config, open_sam(entry, encoder, config.network, config.sam))
         case _:
             assert_never(config.segmenter)
+
+
+def _of_masks(config: PerceptionConfig, network: MaskNetwork) -> Segmenter:
+    from hickory_stream.perception.models.fastsam import FastSamSegmenter
+
+    geometric = config.geometric
+    return FastSamSegmenter(network, masks=config.masks, surface=geometric.surface, structure=geometric.structure)

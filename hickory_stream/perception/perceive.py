@@ -18,6 +18,7 @@ from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
 from hickory_stream.perception.models.mask_pipeline import MaskConfig
 from hickory_stream.perception.models.network import NetworkConfig
+from hickory_stream.perception.models.sam import SamConfig
 from hickory_stream.perception.models.semantic_graph import SemanticConfig
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.observe import ObserveConfig, observe
@@ -40,19 +41,20 @@ class PerceptionConfig:
 
     Attributes:
         segmenter: `network` splits and joins fragments with the affinity network of the package; `geometric` joins
-            them by trees alone; `fastsam` is a network in the folder of models.
+            them by trees alone; `fastsam` and `sam` are networks in the folder of models.
         extractor: the source of patch features: `color_texture` needs no weights; `dinov2` is a network.
         semantics: the semantic model whose classes reject masks: `none`, `oneformer`, or another `graph` that gives
             scores or class ids.
     """
 
-    segmenter: Literal["geometric", "network", "fastsam"] = "network"
+    segmenter: Literal["geometric", "network", "fastsam", "sam"] = "network"
     extractor: Literal["color_texture", "dinov2"] = "color_texture"
     semantics: Literal["none", "oneformer", "graph"] = "none"
     geometric: GeometricConfig = field(default_factory=GeometricConfig)
     affinities: NetworkJoinConfig = field(default_factory=NetworkJoinConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     fastsam: FastSamConfig = field(default_factory=FastSamConfig)
+    sam: SamConfig = field(default_factory=SamConfig)
     dinov2: DinoConfig = field(default_factory=DinoConfig)
     semantic: SemanticConfig = field(default_factory=SemanticConfig)
     masks: MaskConfig = field(default_factory=MaskConfig)

@@ -6,6 +6,7 @@ The filter never adds objects. Pixels of structure classes outside of the remain
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,10 +58,12 @@ class FilteredSegmenter:
         self._model = model
         self._config = config
         self._excluded = excluded_classes(model.labels, config)
+        self._thread = ThreadPoolExecutor(1, "classes")
 
     def prepare(self, frame: Frame) -> tuple[object, SemanticImage]:
-        """Return the results that need no map: the segmenter's own, and the classes of the pixels."""
-        return self._segmenter.prepare(frame), self._model.classify(np.asarray(frame.rgb))
+        """Return the results that need no map: the segmenter's own, and the classes of the pixels, side by side."""
+        classes = self._thread.submit(self._model.classify, np.asarray(frame.rgb))
+        return self._segmenter.prepare(frame), classes.result()
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
         """Return the result of `prepare` for another pose (4, 4) of the frame; None if it must be repeated."""

@@ -104,7 +104,7 @@ def test_bash_completes_commands_options_values_and_files(tmp_path, capsys):
     for words, offered in (
         (["re"], {"resume", "replay", "render", "relocalise", "reconstruct"}),
         (["eval"], {"evaluate"}),
-        (["models", ""], {"list", "add", "check", "where"}),
+        (["models", ""], {"list", "add", "check", "get", "where"}),
         (["generators", ""], {"list", "check"}),
         (["config", "d"], {"dump"}),
         (["plan", "demo.map", "--pl"], {"--planner"}),

@@ -6,6 +6,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from hickory_stream.cli import main
+from tests.perception import small_graphs
 
 
 def two_boxes(path):
@@ -62,6 +63,18 @@ def test_a_check_runs_the_model_on_a_picture_and_draws_it(fastsam, tmp_path, cap
     assert (status, told["masks"], told["provider"]) == (0, 2, "cpu")
     assert told["run_ms"] >= 0
     assert cv2.imread(str(tmp_path / "a.png")).shape == (400, 600, 3)
+
+
+def test_nothing_is_fetched_before_size_and_licence_are_agreed(folder, tmp_path, capsys):
+    status, out, err = said(capsys, "models", "get", "fastsam-s")
+    assert (status, out) == (2, "")
+    assert re.search(r"24 MB from https://.*\n.*FastSAM-s.pt \(23.9 MB\)\n.*AGPL-3.0 \(ultralytics\)", err)
+    assert re.search(r"install the extra: pip install|agree with --yes", err)
+    assert not folder.exists()
+    (tmp_path / "half.pt").write_bytes(b"not weights")
+    status, _, err = said(capsys, "models", "add", tmp_path / "half.pt", "--kind", "semantic")
+    assert status == 2
+    assert "only fastsam, dinov2, oneformer can be exported" in err
 
 
 def test_what_is_missing_or_broken_is_refused_in_a_sentence(folder, tmp_path, capsys):
@@ -129,6 +142,32 @@ def test_any_segmenter_can_be_asked_for(fastsam, tmp_path, capsys):
     files = frame_files(tmp_path)
     chosen = ["--set", "mapper.perception.segmenter=fastsam", "-o", tmp_path / "s.png"]
     assert said(capsys, "segment", *files, *chosen)[0] == 0
+
+
+def test_a_pair_of_the_sam_family_is_added_checked_and_used(folder, tmp_path, capsys):
+    pair = small_graphs.sam_pair(tmp_path / "mobile", low=64)
+    assert said(capsys, "models", "add", pair, "--kind", "sam", "--name", "sam")[0] == 0
+    assert {path.name for path in folder.iterdir()} == {"sam.onnx", "sam.decoder.onnx", "manifest.json"}
+    few = ["--set", "mapper.perception.sam.points_per_side=4", "--set", "mapper.perception.sam.stability=0.5"]
+    assert json.loads(said(capsys, "models", "check", "sam", *few, "--json")[1])["masks"] == 32
+    chosen = ["--set", "mapper.perception.segmenter=sam", *few, "-o", tmp_path / "s.png"]
+    assert said(capsys, "segment", *frame_files(tmp_path), *chosen)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "labels", "expected"),
+    [
+        ("fastsam", "", "no YOLOv8-seg graph"),
+        ("semantic", "wall\nfloor\n", "has 3 classes, the manifest names 2"),
+        ("semantic", "", "needs the names of its classes"),
+    ],
+)
+def test_a_graph_that_no_run_could_use_is_not_added(folder, tmp_path, capsys, kind, labels, expected):
+    (tmp_path / "names.txt").write_text(labels)
+    file = small_graphs.scores_by_color(tmp_path / "a.onnx")
+    status, _, err = said(capsys, "models", "add", file, "--kind", kind, "--labels", tmp_path / "names.txt")
+    assert (status, folder.exists()) == (2, False)
+    assert expected in err
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ from onnx import TensorProto, helper, numpy_helper
 OPSET = 18
 
 
-def save(path: Path, nodes, outputs, *, constants=(), image=(1, 3, None, None), opset=OPSET) -> Path:
-    """Write a graph that takes `image`; `outputs` are (name, element type, shape)."""
+def save(path: Path, nodes, outputs, *, constants=(), image=(1, 3, None, None), inputs=(), opset=OPSET) -> Path:
+    """Write a graph that takes `image`, or `inputs` (name, shape); `outputs` are (name, element type, shape)."""
     graph = helper.make_graph(
         nodes,
         "small",
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, image)],
+        [helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in inputs or [("image", image)]],
         [helper.make_tensor_value_info(*output) for output in outputs],
         [numpy_helper.from_array(np.asarray(value), name) for name, value in constants],
     )
@@ -22,7 +22,7 @@ def save(path: Path, nodes, outputs, *, constants=(), image=(1, 3, None, None), 
     return path
 
 
-def _anything(*names):
+def anything(*names):
     """Nodes that take the image, so that it is not unused, and add nothing to the first constant."""
     return [
         helper.make_node("ReduceMean", ["image"], ["mean"], keepdims=0),
@@ -37,7 +37,7 @@ def yolo(path: Path, boxes, *, prototypes, scores, coefficients, side=64, **opti
     predictions = np.concatenate([boxes, scores, coefficients], axis=1).T[None].astype(np.float32)
     return save(
         path,
-        _anything("predictions", "prototypes"),
+        anything("predictions", "prototypes"),
         [
             ("predictions", TensorProto.FLOAT, predictions.shape),
             ("prototypes", TensorProto.FLOAT, (1, *prototypes.shape)),
@@ -70,10 +70,59 @@ def queries(path: Path, class_logits, mask_logits) -> Path:
     """A OneFormer graph with the same queries whatever it sees."""
     return save(
         path,
-        _anything("classes", "masks"),
+        anything("classes", "masks"),
         [
             ("classes", TensorProto.FLOAT, (1, *class_logits.shape)),
             ("masks", TensorProto.FLOAT, (1, *mask_logits.shape)),
         ],
         constants=[("classes_", class_logits[None]), ("masks_", mask_logits[None])],
     )
+
+
+def sam_pair(folder: Path, *, version=1, radii=(2, 4, 8), ious=(0.95, 0.9, 0.5), low=16, batched=True) -> Path:
+    """Graphs of the SAM family whose masks are discs of `radii` (cells of `low`) around each prompt; side 4 * low."""
+    folder.mkdir(exist_ok=True)
+    num, side = None if batched else 1, 4 * low
+    names = ["image_embeddings"] if version == 1 else ["image_embed", "high_res_feats_0"]
+    nodes = [helper.make_node("ReduceMean", ["image"], [name], keepdims=1) for name in names]
+    outputs = [(name, TensorProto.FLOAT, (1, 1, 1, 1)) for name in names]
+    save(folder / "x.encoder.onnx", nodes, outputs, image=(1, 3, side, side))
+    where = np.arange(low, dtype=np.float32) + 0.5
+    constants = [
+        ("x_at", where.reshape(1, 1, 1, low)),
+        ("y_at", where.reshape(1, 1, low, 1)),
+        ("squares", np.square(np.float32(radii)).reshape(1, -1, 1, 1)),
+        ("ious_", np.float32([ious])),
+        ("quarter", np.float32(0.25)),
+        ("zero", np.float32(0)),
+        *((name, np.array([i])) for i, name in enumerate(("first", "second", "third"))),
+        ("shape", np.array([-1, 1, 1, 1])),
+        ("column", np.array([-1, 1])),
+    ]
+    nodes = [
+        helper.make_node("Slice", ["point_coords", "first", "second", "second"], ["prompt"]),
+        helper.make_node("Mul", ["prompt", "quarter"], ["cell"]),
+        helper.make_node("Slice", ["cell", "first", "second", "third"], ["x_"]),
+        helper.make_node("Slice", ["cell", "second", "third", "third"], ["y_"]),
+        helper.make_node("Reshape", ["x_", "shape"], ["x"]),
+        helper.make_node("Reshape", ["y_", "shape"], ["y"]),
+        helper.make_node("Sub", ["x_at", "x"], ["dx"]),
+        helper.make_node("Sub", ["y_at", "y"], ["dy"]),
+        helper.make_node("Mul", ["dx", "dx"], ["dx2"]),
+        helper.make_node("Mul", ["dy", "dy"], ["dy2"]),
+        helper.make_node("Add", ["dx2", "dy2"], ["off"]),
+        helper.make_node("Sub", ["squares", "off"], ["inside"]),
+        helper.make_node("Mul", [names[-1], "zero"], ["nothing"]),
+        helper.make_node("Add", ["inside", "nothing"], ["low_res_masks" if version == 1 else "masks"]),
+        helper.make_node("Reshape", ["x", "column"], ["each"]),
+        helper.make_node("Mul", ["each", "zero"], ["no_iou"]),
+        helper.make_node("Add", ["ious_", "no_iou"], ["iou_predictions"]),
+    ]
+    prompts = [("point_coords", (num, None, 2)), ("point_labels", (num, None)), ("mask_input", (1, 1, low, low))]
+    inputs = [*((name, (1, 1, 1, 1)) for name in names), *prompts]
+    if version == 1:
+        inputs += [("has_mask_input", (1,)), ("orig_im_size", (2,))]
+    masks = (nodes[-4].output[0], TensorProto.FLOAT, (num, len(radii), low, low))
+    outputs = [masks, ("iou_predictions", TensorProto.FLOAT, (num, len(radii)))]
+    save(folder / "x.decoder.onnx", nodes, outputs, constants=constants, inputs=inputs)
+    return folder

@@ -12,7 +12,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `export`: pip install -e '.[export]'")
 
-import tools.export_models as export  # noqa: E402 -- needs torch only where it is there
+import hickory_stream.perception.models.export as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.fastsam import FastSamConfig  # noqa: E402
 from hickory_stream.perception.models.preprocessing import built_in_picture, letterbox_of, letterboxed  # noqa: E402
 

@@ -3,16 +3,20 @@
 Needs the extra `export` (torch, ultralytics, transformers); skipped without. Run: pytest -m reference tests/reference
 """
 
+import dataclasses
+import json
 from types import SimpleNamespace
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `export`: pip install -e '.[export]'")
 
-import tools.export_models as export  # noqa: E402 -- needs torch only where it is there
+import hickory_stream.perception.models.export as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.dinov2 import DinoConfig, DinoExtractor  # noqa: E402
+from hickory_stream.perception.models.library import read_manifest, sha256_of  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
 from hickory_stream.perception.models.preprocessing import built_in_picture, normalised  # noqa: E402
+from hickory_stream.perception.models.published import PUBLISHED, PublishedFile  # noqa: E402
 from hickory_stream.perception.models.semantic_graph import PanopticConfig, best_classes, panoptic_classes, query_scores  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]
@@ -84,7 +88,8 @@ def test_classes_of_queries_equal_the_packages_processing(segments, seed):
     assert min(panoptic, semantic) >= export.LEAST_CLASS_AGREEMENT
 
 
-def test_classes_of_a_oneformer_graph_are_those_of_the_package(segments, tmp_path):
+def small_oneformer(num_classes=9):
+    """A OneFormer of reduced size with random weights that is sure of its classes."""
     import transformers
 
     torch.manual_seed(5)
@@ -92,7 +97,6 @@ def test_classes_of_a_oneformer_graph_are_those_of_the_package(segments, tmp_pat
         image_size=64, embed_dim=24, depths=[1, 1, 1, 1], num_heads=[2, 2, 2, 2], window_size=4,
         out_features=["stage1", "stage2", "stage3", "stage4"],
     )  # fmt: skip
-    num_classes = 9
     config = transformers.OneFormerConfig(
         backbone_config=backbone, num_queries=30, hidden_dim=64, conv_dim=64, mask_dim=64, encoder_feedforward_dim=64,
         dim_feedforward=64, encoder_layers=2, decoder_layers=2, num_attention_heads=4, is_training=False,
@@ -104,8 +108,13 @@ def test_classes_of_a_oneformer_graph_are_those_of_the_package(segments, tmp_pat
             torch.nn.init.normal_(value, 0, 1.5)
         if "class_embed" in name and value.ndim == 1:
             value.data[-1] = -8.0
-    task = torch.randint(1, 1000, (1, config.task_seq_len))
-    labels = tuple(f"class {i}" for i in range(num_classes))
+    return model
+
+
+def test_classes_of_a_oneformer_graph_are_those_of_the_package(segments, tmp_path):
+    model = small_oneformer()
+    task = torch.randint(1, 1000, (1, model.config.task_seq_len))
+    labels = tuple(f"class {i}" for i in range(9))
     agreement = export.export_oneformer_model(model, task, labels, tmp_path / "one.onnx", PICTURE, (192, 128))
     from hickory_stream.perception.models.semantic_graph import GraphSemantics
 
@@ -116,3 +125,37 @@ def test_classes_of_a_oneformer_graph_are_those_of_the_package(segments, tmp_pat
     print(f"OneFormer: classes of {agreement:.3%} of the pixels agree; classes found: {named.tolist()}")
     assert agreement >= export.LEAST_CLASS_AGREEMENT
     assert (named >= 0).sum() >= 1
+
+
+def test_published_folders_are_added_with_their_task(segments, tmp_path, monkeypatch, capsys):
+    import transformers
+    from hickory_stream.cli import main
+
+    size = {"hidden_size": 48, "num_hidden_layers": 2, "num_attention_heads": 3, "image_size": 70, "patch_size": 14}
+    transformers.Dinov2Model(transformers.Dinov2Config(**size)).save_pretrained(tmp_path / "dino")
+    small_oneformer().save_pretrained(tmp_path / "one")
+    ends = ["<|startoftext|>", "<|endoftext|>"]
+    vocabulary = {part: i for i, part in enumerate([*ends, *"acehiknopst", *(f"{c}</w>" for c in "acehiknopst")])}
+    (tmp_path / "one" / "vocab.json").write_text(json.dumps(vocabulary))
+    (tmp_path / "one" / "merges.txt").write_text("#version: 0.2\n")
+    tokenizer = transformers.CLIPTokenizer.from_pretrained(tmp_path / "one")
+    processor = SimpleNamespace(tokenizer=tokenizer)
+    theirs = transformers.OneFormerProcessor._preprocess_text(processor, ["the task is panoptic"], max_length=77)
+    assert torch.equal(export.oneformer_task(tokenizer, 77), theirs)
+    assert theirs.count_nonzero() == 18
+    monkeypatch.setenv("HICKORY_MODELS", str(tmp_path / "models"))
+    files = tuple(
+        PublishedFile(name=path.name, num_bytes=path.stat().st_size, sha256=sha256_of(path))
+        for path in (tmp_path / "dino").iterdir()
+    )
+    small = dataclasses.replace(PUBLISHED["dinov2-small"], files=files)
+    monkeypatch.setitem(PUBLISHED, "dinov2-small", small)
+    for name, options in (
+        ("dinov2-small", ["get", "dinov2-small", "--from", tmp_path / "dino"]),
+        ("one", ["add", tmp_path / "one", "--kind", "oneformer"]),
+    ):
+        assert main(["models", *map(str, options), "--json"]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert (report["name"], bool(report["compared"])) == (name, True)
+    assert read_manifest(tmp_path / "models")["dinov2-small"].source == small.source
+    assert not list((tmp_path / "models" / "downloads").iterdir())

@@ -1,4 +1,4 @@
-"""`hickory-stream models`: list, add or check the networks of this machine."""
+"""`hickory-stream models`: list or check the networks of this machine; `model_files` gets and adds them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
 from hickory_stream.cli.output_files import add_output, write_picture
-from hickory_stream.errors import ConfigError, ModelError
+from hickory_stream.cli.setup.model_files import KINDS, add_adding
+from hickory_stream.errors import ModelError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -23,20 +24,13 @@ if TYPE_CHECKING:
 
 # Texts of `check` for the built-in picture.
 _TEXTS = ("a photo of a cup of coffee.", "a photo of a dog.")
-_KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
 
 
 def add(commands: Commands) -> None:
     actions = commands.group("models", _list)
     actions.add("where", _where)
     actions.add("list", _list)
-    adding = actions.add("add", _add)
-    adding.add_argument("file", type=Path, metavar="ONNX", help="network; of an image-text pair, the folder")
-    adding.add_argument("--kind", required=True, choices=_KINDS)
-    adding.add_argument("--name", help="name in the configuration; default: the file name without ending")
-    adding.add_argument("--source", default="added by hand", help="origin of the weights")
-    adding.add_argument("--licence", default="not stated")
-    adding.add_argument("--labels", type=Path, metavar="FILE", help="class names, one a line, by id")
+    add_adding(actions)
     check = actions.add("check", _check, configured=True)
     check.add_argument("name", metavar="NAME")
     add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw the result")
@@ -70,89 +64,9 @@ def _list(options: argparse.Namespace) -> int:
         print(f"{row['name']}  {row['kind']}  {size}  {row['licence']}  {row['source']}  {row['state']}")
     if not rows:
         print(
-            f"no models in {folder}; export one (hickory_stream/perception/models/README.md) and add it with "
-            "`hickory-stream models add FILE.onnx --kind KIND`"
+            f"no models in {folder}; get a published one with `hickory-stream models get NAME`, or add your own with "
+            "`hickory-stream models add FILE --kind KIND`"
         )
-    return 0
-
-
-def _add(options: argparse.Namespace) -> int:
-    from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
-    from hickory_stream.perception.models.network import Network, NetworkConfig
-
-    if options.kind == "image-text":
-        return _add_image_text(options)
-    labels = _read_labels(options.labels) if options.labels is not None else ()
-    # Refuses an unreadable file now, not in the first run.
-    network = Network(options.file, NetworkConfig(provider="cpu", warm_up=False))
-    height, width = network.require_image_input(options.kind)
-    name = options.name or options.file.stem
-    try:
-        entry = ModelEntry(
-            name=name,
-            kind=options.kind,
-            file=f"{name}.onnx",
-            sha256=sha256_of(options.file),
-            source=options.source,
-            licence=options.licence,
-            input_px=(width or 0, height or 0),
-            labels=labels,
-        )
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
-    if options.kind in ("oneformer", "semantic") and not labels:
-        raise ConfigError(f"a model of kind {options.kind} needs the names of its classes: --labels FILE")
-    add_model(models_folder(), options.file, entry)
-    return _tell_added(entry, options.json)
-
-
-def _add_image_text(options: argparse.Namespace) -> int:
-    from hickory_stream.perception.models.image_text import ImageTextNetwork, published_files
-    from hickory_stream.perception.models.library import Companion, ModelEntry, add_model, models_folder, sha256_of
-    from hickory_stream.perception.models.network import Network, NetworkConfig
-
-    if options.labels is not None:
-        raise ConfigError("found --labels for an image-text network, which has no classes; leave it out")
-    files = published_files(options.file)
-    config = NetworkConfig(provider="cpu", warm_up=False)
-    vision = Network(files["vision"], config)
-    # Refuses an unreadable pair now, not with the first question.
-    ImageTextNetwork(
-        vision,
-        Network(files["text"], config),
-        tokenizer=files["tokenizer"],
-        preprocessor=files["preprocessor"],
-        tokenizer_config=files.get("tokenizer-config"),
-    )
-    height, width = vision.require_image_input("image-text")
-    name = options.name or options.file.resolve().name
-    try:
-        entry = ModelEntry(
-            name=name,
-            kind="image-text",
-            file=f"{name}.onnx",
-            sha256=sha256_of(files["vision"]),
-            source=options.source,
-            licence=options.licence,
-            input_px=(width or 0, height or 0),
-            companions=tuple(
-                Companion(role=role, file=f"{name}.{role}{path.suffix}", sha256=sha256_of(path))
-                for role, path in files.items()
-                if role != "vision"
-            ),
-        )
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
-    add_model(models_folder(), files["vision"], entry, files)
-    return _tell_added(entry, options.json)
-
-
-def _tell_added(entry: ModelEntry, as_json: bool) -> int:
-    from hickory_stream.perception.models.library import models_folder
-
-    report = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
-    text = f"{report['file']} is the model {entry.name}, sha256 {entry.sha256}"
-    print(output("models-add", report) if as_json else text)
     return 0
 
 
@@ -196,6 +110,7 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
     from hickory_stream.perception.models.fastsam import FastSam
     from hickory_stream.perception.models.image_text import open_image_text
     from hickory_stream.perception.models.preprocessing import built_in_picture
+    from hickory_stream.perception.models.sam import open_sam
     from hickory_stream.perception.models.semantic_graph import GraphSemantics
     from hickory_stream.pictures.show_perception import classes_picture, features_picture, masks_picture
 
@@ -204,6 +119,9 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
     match entry.kind:
         case "fastsam":
             masks, num_not_finite = FastSam(network, config.fastsam, warm_up=warm_up).masks(rgb)
+            return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
+        case "sam":
+            masks, num_not_finite = open_sam(entry, network, config.network, config.sam).masks(rgb)
             return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
         case "dinov2":
             patches = DinoExtractor(network, config.dinov2, warm_up=warm_up).extract(rgb)
@@ -236,11 +154,4 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
 
 
 def _guess(name: str) -> Any:
-    return next((kind for kind in _KINDS if kind in name.lower()), "fastsam")
-
-
-def _read_labels(path: Path) -> tuple[str, ...]:
-    try:
-        return tuple(line.strip() for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot read the labels {path}: {error}") from error
+    return next((kind for kind in KINDS if kind in name.lower()), "fastsam")

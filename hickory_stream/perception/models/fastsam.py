@@ -7,7 +7,8 @@ The graph takes (1, 3, S, S) colour in 0..1 and gives predictions (1, 4 + classe
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from hickory_stream.perception.models.preprocessing import letterbox_of, letterb
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
 from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.structure.room_structure import room_structure_of
-from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
+from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
 from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation
 
 logger = logging.getLogger(__name__)
@@ -102,11 +103,18 @@ class FastSam:
         return masks, found.num_not_finite
 
 
+class MaskNetwork(Protocol):
+    """A network that gives masks which may overlap."""
+
+    def masks(self, rgb: NDArray[np.uint8]) -> tuple[list[InstanceMask], int]:
+        """Return the masks of an image (H, W, 3), best first, and how many are not finite; raises `ModelError`."""
+
+
 class FastSamSegmenter:
-    """A `Segmenter`: instances from the network's masks, room structure from geometry."""
+    """A `Segmenter`: instances from the masks of FastSAM or another network, room structure from geometry."""
 
     def __init__(
-        self, network: FastSam, *, masks: MaskConfig, surface: SurfaceConfig, structure: StructureConfig
+        self, network: MaskNetwork, *, masks: MaskConfig, surface: SurfaceConfig, structure: StructureConfig
     ) -> None:
         self._network, self._masks = network, masks
         self._surface, self._structure = surface, structure
@@ -120,6 +128,12 @@ class FastSamSegmenter:
             text = "the network gave %d detections with NaN or infinity in frame %d; they are left out (said once)"
             logger.warning(text, num_not_finite, frame.index)
         return Found(surface=surface_of(frame, self._surface), masks=masks, num_not_finite=num_not_finite)
+
+    def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+        """Return the result of `prepare` for another pose (4, 4) of the frame; masks do not depend on it."""
+        if not isinstance(prepared, Found):
+            return None
+        return replace(prepared, surface=moved_surface(prepared.surface, world_from_camera))
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the map so far."""

@@ -1,6 +1,6 @@
 """The folder of networks: the model files and their manifest.
 
-A file is used only with an entry in `manifest.json` (sha256, origin, licence, input size). Nothing is ever downloaded;
+A file is used only with an entry in `manifest.json` (sha256, origin, licence, input size). A run downloads nothing;
 the error for a missing model says how to get it.
 """
 
@@ -23,18 +23,20 @@ from platformdirs import user_data_path
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import ModelError
 
-Kind = Literal["fastsam", "dinov2", "oneformer", "semantic", "image-text"]
+Kind = Literal["fastsam", "sam", "dinov2", "oneformer", "semantic", "image-text"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-# Where the weights are published, and what `tools/export_onnx` calls them.
-_ORIGINS: dict[Kind, str] = {
-    "fastsam": "weights FastSAM-s.pt from https://docs.ultralytics.com/models/fast-sam/",
-    "dinov2": "weights facebook/dinov2-small from https://huggingface.co/facebook/dinov2-small",
-    "oneformer": "weights shi-labs/oneformer_ade20k_swin_tiny from "
-    "https://huggingface.co/shi-labs/oneformer_ade20k_swin_tiny",
+# What `models get` calls the published weights of a kind.
+_PUBLISHED: dict[Kind, tuple[str, ...]] = {
+    "fastsam": ("fastsam-s", "fastsam-x"),
+    "dinov2": ("dinov2-small",),
+    "oneformer": ("oneformer-ade20k",),
+}
+_GRAPHS: dict[Kind, str] = {
+    "sam": "any folder with encoder and decoder of SAM, MobileSAM or SAM 2 as ONNX",
     "semantic": "any graph that gives class scores per pixel (1, K, h, w), or class ids (1, h, w)",
     "image-text": "any folder with a pair of graphs as CLIP has them, their tokenizer and their pre-processing",
 }
@@ -198,12 +200,12 @@ def _require_intact(path: Path, sha256: str, entry: ModelEntry) -> None:
 
 def how_to_get(name: str, kind: Kind) -> str:
     """Return instructions to get a model of this name and kind."""
-    adds = f"`hickory-stream models add {name}.onnx --kind {kind}`"
-    if kind == "image-text":
-        return f"add {_ORIGINS[kind]}, with `hickory-stream models add FOLDER --kind {kind} --name {name}`"
-    if kind == "semantic":
-        return f"add {_ORIGINS[kind]}, with {adds}"
-    return f"export it to ONNX (hickory_stream/perception/models/README.md; {_ORIGINS[kind]}), then add it with {adds}"
+    file = "FOLDER" if kind in ("sam", "image-text") else f"{name}.onnx"
+    adds = f"`hickory-stream models add {file} --kind {kind} --name {name}`"
+    if kind in _GRAPHS:
+        return f"add {_GRAPHS[kind]}, with {adds}"
+    names = _PUBLISHED[kind]
+    return f"fetch it with `hickory-stream models get {name if name in names else names[0]}`, or add yours with {adds}"
 
 
 def sha256_of(path: Path) -> str:

@@ -119,6 +119,10 @@ class GraphSemantics:
         if ranks not in ([3], [4], [3, 4]):
             expected = "class scores (1, K, h, w), class ids (1, h, w), or logits (1, Q, K + 1) and masks (1, Q, h, w)"
             raise network.mismatch("semantic", expected)
+        shapes = {len(output.shape): output.shape for output in network.outputs}
+        classes = shapes[3][2] if len(ranks) == 2 else shapes[4][1] if 4 in shapes else None
+        if classes is not None:
+            self._check(classes - (len(ranks) == 2))
         if warm_up:
             side = -(-short_px // _MULTIPLE) * _MULTIPLE
             network.warm_up(np.zeros((1, 3, self._fixed[0] or side, self._fixed[1] or side), dtype=np.float32))
@@ -143,7 +147,7 @@ class GraphSemantics:
             self._check(by_rank[4].shape[0])
             classes = best_classes(by_rank[4], size)
         else:
-            ids = by_rank[3].astype(np.int32)
+            ids = np.maximum(np.nan_to_num(by_rank[3], nan=-1), -1).astype(np.int32)
             self._check(max(int(ids.max()) + 1, len(self._labels)))
             classes = cv2.resize(ids.astype(np.float32), size, interpolation=cv2.INTER_NEAREST).astype(np.int32)
         return SemanticImage(classes=classes, labels=self._labels)

@@ -43,7 +43,6 @@ def detections_of(
 ) -> Detections:
     """Return the detections of (4 + classes + coefficients, anchors): x, y, w, h, scores, coefficients."""
     # The best class of each anchor counts; non-maximum suppression is per class.
-    # The best class of each anchor counts; non-maximum suppression is per class.
     num_classes = len(predictions) - 4 - num_coefficients
     scores = predictions[4 : 4 + num_classes]
     best = scores.max(axis=0)
@@ -123,32 +122,40 @@ def masks_of(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Taps:
-    # Interpolation along one axis: each pixel uses three prototype cells from index `at` (N,), by `weights` (N, 3).
+class Taps:
+    """Interpolation along one axis: each pixel uses three cells from index `at` (N,), by `weights` (N, 3)."""
+
     at: NDArray[np.int64]
     weights: NDArray[np.float32]
 
 
-def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox: Letterbox) -> _Taps:
-    # The reference resizes the prototypes twice, bilinearly: by an integer factor, after which it crops the grey border
-    # at a whole pixel, and then to the image. Both steps together use three cells.
+def taps_along(length: int, *, size: int, factor: int, first: int, count: int) -> Taps:
+    """Return the taps of two bilinear resizes in a row, which use three cells together.
+
+    `size` cells are enlarged by an integer `factor`; `count` pixels of these from `first` on are resized to `length`.
+    """
+    place = np.clip((np.arange(length) + 0.5) * count / length - 0.5, 0, count - 1)
+    lower = place.astype(np.int64)
+    upper = np.minimum(lower + 1, count - 1)
+    at, weights = np.zeros(length, dtype=np.int64), np.zeros((length, 3), dtype=np.float32)
+    for stretched, share in ((lower, 1 - (place - lower)), (upper, place - lower)):
+        cell = np.clip((first + stretched + 0.5) / factor - 0.5, 0, size - 1)
+        left = cell.astype(np.int64)
+        if stretched is lower:
+            at = np.clip(left, 0, max(size - 3, 0))
+        for tap, part in ((left, 1 - (cell - left)), (np.minimum(left + 1, size - 1), cell - left)):
+            np.add.at(weights, (np.arange(length), tap - at), share * part)
+    return Taps(at=at, weights=weights)
+
+
+def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox: Letterbox) -> Taps:
+    # The reference enlarges the prototypes by an integer factor, after which it crops the grey border at a whole pixel.
     ratio = max(1, frame // size)
     grey = (letterbox.frame_height - letterbox.inner_height) | (letterbox.frame_width - letterbox.inner_width)
     factor = ratio // math.gcd(ratio, grey | grey // 2)
     per_frame = factor * size / frame
     first, count = round(start * per_frame), max(1, round(inner * per_frame))
-    place = np.clip((np.arange(length) + 0.5) * count / length - 0.5, 0, count - 1)
-    lower = place.astype(np.int64)
-    upper = np.minimum(lower + 1, count - 1)
-    at, taps = np.zeros(length, dtype=np.int64), np.zeros((length, 3), dtype=np.float32)
-    for stretched, share in ((lower, 1 - (place - lower)), (upper, place - lower)):
-        proto = np.clip((first + stretched + 0.5) / factor - 0.5, 0, size - 1)
-        left = proto.astype(np.int64)
-        if stretched is lower:
-            at = np.clip(left, 0, max(size - 3, 0))
-        for tap, part in ((left, 1 - (proto - left)), (np.minimum(left + 1, size - 1), proto - left)):
-            np.add.at(taps, (np.arange(length), tap - at), share * part)
-    return _Taps(at=at, weights=taps)
+    return taps_along(length, size=size, factor=factor, first=first, count=count)
 
 
 @kernel

@@ -38,10 +38,10 @@ def test_the_folder_is_named_by_the_environment(monkeypatch, tmp_path):
     assert models_folder().parts[-2:] == ("hickory-stream", "models")
 
 
-def test_a_missing_model_is_answered_with_file_origin_and_export(tmp_path):
+def test_a_missing_model_is_answered_with_how_to_get_it(tmp_path):
     with pytest.raises(
         ModelError,
-        match=r"no model fastsam-s in .*export it to ONNX .*https://.*models add fastsam-s.onnx --kind fastsam",
+        match=r"no model fastsam-s in .*fetch it with .*models get fastsam-s.*models add fastsam-s.onnx --kind fastsam",
     ):
         find_model("fastsam-s", "fastsam", folder=tmp_path)
 

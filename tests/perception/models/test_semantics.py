@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from onnx import TensorProto
 from hickory_stream.errors import ConfigError, ModelError
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.semantic_graph import GraphSemantics, PanopticConfig
@@ -67,9 +68,19 @@ def test_queries_that_are_not_finite_claim_nothing(tmp_path):
 
 
 def test_a_table_of_another_length_is_refused(tmp_path):
-    model = model_of(small_graphs.scores_by_color(tmp_path / "a.onnx"), labels=("wall",))
     with pytest.raises(ModelError, match="has 3 classes, the manifest names 1"):
-        model.classify(np.zeros((8, 8, 3), np.uint8))
+        model_of(small_graphs.scores_by_color(tmp_path / "a.onnx"), labels=("wall",))
+    with pytest.raises(ModelError, match="has 3 classes, the manifest names 4"):
+        model_of(two_queries(tmp_path / "b.onnx"), labels=(*LABELS, "lid"))
+
+
+def test_ids_of_no_class_are_no_class(tmp_path):
+    ids = np.array([[[0, 2, np.nan, -5]]], np.float32)
+    file = small_graphs.save(
+        tmp_path / "a.onnx", small_graphs.anything("ids"), [("ids", TensorProto.FLOAT, ids.shape)],
+        constants=[("ids_", ids)],
+    )  # fmt: skip
+    assert model_of(file).classify(np.zeros((1, 4, 3), np.uint8)).classes.tolist() == [[0, 2, -1, -1]]
 
 
 def test_classes_are_found_by_any_of_their_names():

@@ -1,24 +1,27 @@
-"""`tools/export_onnx KIND`: a network from its official package as ONNX, checked against it, and put among the models.
+"""Export of the paper's networks from their official packages to ONNX; needs the extra `export`.
 
-The check is made with what was exported: our masks, features or classes by the graph against those of the package's own
-prediction code, on a picture. A graph that differs is not kept.
+Each graph is compared with the prediction code of its package: our masks, features or classes by the graph against the
+package's own, on a picture. A graph that differs is refused.
 """
 
-import argparse
+from __future__ import annotations
+
+import importlib.util
 import os
-import sys
+import shutil
 import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.errors import HickoryError, ModelError
+from hickory_stream.errors import ConfigError, HickoryError, ModelError
 from hickory_stream.perception.models.dinov2 import DinoConfig, DinoExtractor
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
-from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import built_in_picture, normalised
 from hickory_stream.perception.models.semantic_graph import MASK_THRESHOLD, MIN_OVERLAP, GraphSemantics, PanopticConfig
@@ -28,67 +31,60 @@ LEAST_IOU = 0.99
 MOST_FEATURE_ERROR = 1e-3
 LEAST_CLASS_AGREEMENT = 0.99
 _CPU = NetworkConfig(provider="cpu", warm_up=False)
-_DEFAULTS = {
-    "fastsam": ("FastSAM-s.pt", "fastsam-s", "AGPL-3.0 (ultralytics)"),
-    "dinov2": ("facebook/dinov2-small", "dinov2-small", "Apache-2.0 (Meta)"),
-    "oneformer": ("shi-labs/oneformer_ade20k_swin_tiny", "oneformer-ade20k-swin-tiny", "MIT (SHI Labs)"),
-}
+_INSTALL = "install the extra: pip install 'hickory-stream[export]'"
+_PACKAGES = {"fastsam": "ultralytics", "dinov2": "transformers", "oneformer": "transformers"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exported:
-    """What was exported: what the manifest says of it beside the file, and what the check found."""
+    """What the manifest says of a graph beside its file, and the result of the comparison."""
 
     input_px: tuple[int, int]
     labels: tuple[str, ...]
-    found: str
+    compared: str
 
 
-def main() -> int:
-    """Parse the arguments, export, check and add."""
-    parser = argparse.ArgumentParser(prog="tools/export_onnx", description=__doc__.splitlines()[0])
-    parser.add_argument("kind", choices=sorted(_DEFAULTS))
-    parser.add_argument("--weights", help="a file, a folder, or the package's name of published weights")
-    parser.add_argument("--name", help="what the configuration will call it")
-    parser.add_argument("--input-px", type=int, default=640, help="fastsam: the side of its image")
-    parser.add_argument("--folder", type=Path, default=None, help="the folder of models; default: $HICKORY_MODELS")
-    arguments = parser.parse_args()
-    weights, name, licence = _DEFAULTS[arguments.kind]
-    weights, name = arguments.weights or weights, arguments.name or name
-    folder = arguments.folder or models_folder()
-    # What is missing is said, not installed behind the user's back.
-    os.environ.setdefault("YOLO_AUTOINSTALL", "false")
+def require_exporter(kind: str) -> None:
+    """Raise `ConfigError` if a kind of network cannot be exported here."""
+    if kind not in _PACKAGES:
+        raise ConfigError(f"only {', '.join(_PACKAGES)} can be exported; give a model of kind {kind} as ONNX")
+    missing = [name for name in ("torch", "onnx", _PACKAGES[kind]) if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ConfigError(f"{', '.join(missing)} missing, needed to export {kind}; {_INSTALL}")
+
+
+def export_model(kind: str, weights: Path, file: Path, input_px: int) -> Exported:
+    """Export weights, a file or a folder, to an ONNX file; `input_px` is the side of FastSAM's image.
+
+    Raises:
+        ConfigError: a package is missing.
+        ModelError: the weights cannot be read, or the graph differs from the package's prediction.
+    """
+    require_exporter(kind)
+    # A missing package is an error: ultralytics would install it. Its log goes to the standard output.
+    os.environ.update(YOLO_AUTOINSTALL="false", YOLO_VERBOSE="false")
     try:
-        with tempfile.TemporaryDirectory() as temporary:
-            file = Path(temporary) / f"{name}.onnx"
-            done = EXPORTS[arguments.kind](weights, file, arguments.input_px)
-            entry = ModelEntry(
-                name=name, kind=arguments.kind, file=file.name, sha256=sha256_of(file), source=weights, licence=licence,
-                input_px=done.input_px, labels=done.labels,
-            )  # fmt: skip
-            add_model(folder, file, entry)
-    except ModuleNotFoundError as error:
-        print(f"{error.name} is missing; install the extra: pip install -e '.[export]'", file=sys.stderr)
-        return 2
-    except HickoryError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
-    print(f"{folder / file.name}: {done.found}")
-    return 0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # tracing warns of each constant
+            return EXPORTS[kind](weights, file, input_px)
+    except HickoryError:
+        raise
+    except ImportError as error:
+        raise ConfigError(f"{error}, needed to export {kind}; {_INSTALL}") from error
+    except Exception as error:  # the exceptions of these packages have no common base
+        raise ModelError(f"{weights} cannot be exported as {kind}: {error}") from error
 
 
-# ---- FastSAM --------------------------------------------------------------------------------------------------------
-
-
-def export_fastsam(weights: str, file: Path, input_px: int) -> Exported:
+def export_fastsam(weights: Path, file: Path, input_px: int) -> Exported:
     """Export FastSAM, or any YOLOv8-seg, with ultralytics; masks are compared with its own predictor's."""
     from ultralytics import YOLO, FastSAM
 
-    kind = FastSAM if "fastsam" in Path(weights).stem.lower() else YOLO
-    model = kind(weights)
-    made = Path(model.export(format="onnx", imgsz=input_px, opset=OPSET, simplify=False, dynamic=False))
-    file.write_bytes(made.read_bytes())
-    made.unlink()
+    kind = FastSAM if "fastsam" in weights.stem.lower() else YOLO
+    with tempfile.TemporaryDirectory() as folder:
+        # The package writes its graph beside the weights.
+        model = kind(str(shutil.copy(weights, folder)))
+        made = model.export(format="onnx", imgsz=input_px, opset=OPSET, simplify=False, dynamic=False)
+        shutil.copy(made, file)
     picture = built_in_picture()
     ours, theirs = fastsam_masks(file, picture), reference_fastsam_masks(model, picture, input_px)
     found = ious(ours, theirs)
@@ -97,13 +93,13 @@ def export_fastsam(weights: str, file: Path, input_px: int) -> Exported:
             f"the exported graph gives other masks than {weights}: {len(ours)} for {len(theirs)}, of mean IoU "
             f"{found.mean():.3f}, at least {LEAST_IOU}"
         )
-    told = f"{len(theirs)} masks, IoU with the package's own {found.mean():.4f} on average" if theirs else "no masks"
-    return Exported(input_px=(input_px, input_px), labels=(), found=told)
+    compared = (
+        f"{len(theirs)} masks, IoU with the package's own {found.mean():.4f} on average" if theirs else "no masks"
+    )
+    return Exported(input_px=(input_px, input_px), labels=(), compared=compared)
 
 
-def fastsam_masks(
-    file: Path, picture: np.ndarray[Any, Any], config: FastSamConfig | None = None
-) -> list[np.ndarray[Any, Any]]:
+def fastsam_masks(file: Path, picture: NDArray[Any], config: FastSamConfig | None = None) -> list[NDArray[Any]]:
     """Return our masks of a picture at its size, those without a pixel left out as the package does."""
     masks, _ = FastSam(Network(file, _CPU), config or FastSamConfig(), warm_up=False).masks(picture)
     full = []
@@ -117,8 +113,8 @@ def fastsam_masks(
 
 
 def reference_fastsam_masks(
-    model: Any, picture: np.ndarray[Any, Any], input_px: int, config: FastSamConfig | None = None
-) -> list[np.ndarray[Any, Any]]:
+    model: Any, picture: NDArray[Any], input_px: int, config: FastSamConfig | None = None
+) -> list[NDArray[Any]]:
     """Return the masks of the package's own predictor; `rect=False` gives it the square image that the graph takes."""
     config = config or FastSamConfig()
     result = model.predict(
@@ -135,7 +131,7 @@ def reference_fastsam_masks(
     return [] if result.masks is None else [mask.numpy() > 0 for mask in result.masks.data]
 
 
-def ious(ours: list[np.ndarray[Any, Any]], theirs: list[np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
+def ious(ours: list[NDArray[Any]], theirs: list[NDArray[Any]]) -> NDArray[Any]:
     """Return the IoU of each of their masks with the one of ours that is most like it: scores may tie."""
     if not ours or not theirs:
         return np.full(max(len(ours), len(theirs)), 0.0)
@@ -144,10 +140,7 @@ def ious(ours: list[np.ndarray[Any, Any]], theirs: list[np.ndarray[Any, Any]]) -
     return np.asarray((shared / (a.sum(axis=1)[:, None] + b.sum(axis=1)[None, :] - shared)).max(axis=1))
 
 
-# ---- DINOv2 ---------------------------------------------------------------------------------------------------------
-
-
-def export_dinov2(weights: str, file: Path, _input_px: int) -> Exported:
+def export_dinov2(weights: Path, file: Path, _input_px: int) -> Exported:
     """Export DINOv2 with transformers, its sizes left open; features are compared with the package's."""
     from transformers import AutoModel
 
@@ -155,14 +148,14 @@ def export_dinov2(weights: str, file: Path, _input_px: int) -> Exported:
     error = export_dino_model(model, file, built_in_picture()[:224, :322])
     if error > MOST_FEATURE_ERROR:
         raise ModelError(f"the exported graph gives other features than {weights}: by {error:.2g}")
-    return Exported(input_px=(0, 0), labels=(), found=f"features differ by at most {error:.2g}")
+    return Exported(input_px=(0, 0), labels=(), compared=f"features differ by at most {error:.2g}")
 
 
-def export_dino_model(model: Any, file: Path, picture: np.ndarray[Any, Any]) -> float:
+def export_dino_model(model: Any, file: Path, picture: NDArray[Any]) -> float:
     """Export a DINOv2 of transformers, and return by how much our features of a picture differ from its own."""
     import torch
 
-    class Tokens(torch.nn.Module):
+    class Tokens(torch.nn.Module):  # type: ignore[misc]  # torch has no types here
         def __init__(self) -> None:
             super().__init__()
             self.model = model
@@ -182,22 +175,27 @@ def export_dino_model(model: Any, file: Path, picture: np.ndarray[Any, Any]) -> 
     return float(np.abs(ours - theirs / np.linalg.norm(theirs, axis=-1, keepdims=True)).max())
 
 
-# ---- OneFormer ------------------------------------------------------------------------------------------------------
-
-
-def export_oneformer(weights: str, file: Path, _input_px: int) -> Exported:
+def export_oneformer(weights: Path, file: Path, _input_px: int) -> Exported:
     """Export OneFormer with transformers, its task made part of the graph; classes are compared with the package's."""
-    from transformers import OneFormerForUniversalSegmentation, OneFormerProcessor
+    from transformers import CLIPTokenizer, OneFormerForUniversalSegmentation
 
-    processor = OneFormerProcessor.from_pretrained(weights)
     model = OneFormerForUniversalSegmentation.from_pretrained(weights, is_training=False).eval()
+    # The package's processor also wants names of classes from a repository of its own; the task needs the tokens only.
+    task = oneformer_task(CLIPTokenizer.from_pretrained(weights), model.config.task_seq_len)
     picture = built_in_picture()
-    task = processor(images=[picture], task_inputs=["panoptic"], return_tensors="pt")["task_inputs"]
     labels = tuple(model.config.id2label[i] for i in range(len(model.config.id2label)))
     agreement = export_oneformer_model(model, task, labels, file, picture)
     if agreement < LEAST_CLASS_AGREEMENT:
         raise ModelError(f"the exported graph gives other classes than {weights}: {agreement:.1%} of pixels agree")
-    return Exported(input_px=ONEFORMER_PX, labels=labels, found=f"classes of {agreement:.2%} of the pixels agree")
+    return Exported(input_px=ONEFORMER_PX, labels=labels, compared=f"classes of {agreement:.2%} of the pixels agree")
+
+
+def oneformer_task(tokenizer: Any, length: int) -> Any:
+    """Return (1, length) the tokens of the panoptic task, 0 behind its end, as the package's processor makes them."""
+    tokens = tokenizer(
+        "the task is panoptic", padding="max_length", max_length=length, truncation=True, return_tensors="pt"
+    )
+    return tokens["input_ids"] * tokens["attention_mask"]
 
 
 # The backbone's windows make its graph one of a fixed size: 4:3, as most depth cameras.
@@ -205,7 +203,7 @@ ONEFORMER_PX = (640, 480)
 
 
 def export_oneformer_model(
-    model: Any, task: Any, labels: tuple[str, ...], file: Path, picture: np.ndarray[Any, Any],
+    model: Any, task: Any, labels: tuple[str, ...], file: Path, picture: NDArray[Any],
     size: tuple[int, int] = ONEFORMER_PX,
 ) -> float:  # fmt: skip
     """Export a OneFormer, and return the share of pixels of a picture whose class is that of the package's own code."""
@@ -213,7 +211,7 @@ def export_oneformer_model(
     import torch
     from transformers.models.oneformer.image_processing_pil_oneformer import OneFormerImageProcessorPil
 
-    class Queries(torch.nn.Module):
+    class Queries(torch.nn.Module):  # type: ignore[misc]  # torch has no types here
         def __init__(self) -> None:
             super().__init__()
             self.model = model
@@ -233,9 +231,7 @@ def export_oneformer_model(
     return float((ours.classify(small).classes == theirs).mean())
 
 
-def reference_classes(
-    processor: Any, outputs: Any, size: tuple[int, int], config: PanopticConfig
-) -> np.ndarray[Any, Any]:
+def reference_classes(processor: Any, outputs: Any, size: tuple[int, int], config: PanopticConfig) -> NDArray[Any]:
     """Return (H, W) classes by the package's panoptic post-processing, -1 where it names no segment."""
     result = processor.post_process_panoptic_segmentation(
         None,
@@ -285,11 +281,8 @@ def _use_single_precision(file: Path) -> None:
     onnx.save(model, str(file))
 
 
-EXPORTS: dict[str, Callable[[str, Path, int], Exported]] = {
+EXPORTS: dict[str, Callable[[Path, Path, int], Exported]] = {
     "fastsam": export_fastsam,
     "dinov2": export_dinov2,
     "oneformer": export_oneformer,
 }
-
-if __name__ == "__main__":
-    sys.exit(main())
