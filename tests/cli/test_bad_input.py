@@ -6,10 +6,7 @@ The logs are of the players' synthetic scene; what each lacks was taken out of a
 import json
 import os
 import socket
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.cli import main
@@ -30,23 +27,23 @@ INFOS = ("/cam/color/camera_info", "/cam/aligned_depth/camera_info")
 NOTHING = np.zeros_like(FRAMES[0].depth_mm)
 
 
-def write(path: Path, messages: list[scenes.Message]) -> Path:
+def write(path, messages):
     return scenes.write_mcap(path, M, sorted(messages, key=lambda message: message.stamp_ns))
 
 
-def without(*topics: str) -> list[scenes.Message]:
+def without(*topics):
     return [message for message in LOG if message.topic not in topics]
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
+def log(tmp_path):
     return write(tmp_path / "desk.mcap", LOG)
 
 
 class Ended:
     """How a command ended: its status, its lines on standard error, and standard output."""
 
-    def __init__(self, status: int, stdout: str, stderr: str) -> None:
+    def __init__(self, status, stdout, stderr):
         self.status = status
         self.stdout = stdout
         self.stderr = stderr
@@ -54,8 +51,8 @@ class Ended:
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
-    def call(*arguments: object) -> Ended:
+def run(capsys):
+    def call(*arguments):
         capsys.readouterr()
         status = main([str(argument) for argument in arguments])
         return Ended(status, *capsys.readouterr())
@@ -63,7 +60,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
     return call
 
 
-def refusal(ended: Ended, *told: str, status: int = 2) -> str:
+def refusal(ended, *told, status=2):
     """Check that something was refused as it has to be, and return the one line."""
     assert ended.status == status, ended.stderr
     assert ended.stdout == ""
@@ -75,7 +72,7 @@ def refusal(ended: Ended, *told: str, status: int = 2) -> str:
     return ended.errors[0]
 
 
-def bad_logs() -> dict[str, tuple[Callable[[Path], object], tuple[str, ...]]]:
+def bad_logs():
     """Return by name how a bad log is written, and what its refusal has to tell."""
     blind = [replace(frame, depth_mm=NOTHING) for frame in FRAMES]
     narrow = replace(scenes.CAMERA, width=40)
@@ -155,7 +152,7 @@ def test_one_frame_of_another_size_is_counted(tmp_path, run):
     assert ledger["source"] == {"frame_of_other_size": 1, "frames": 2}
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
@@ -307,13 +304,13 @@ def test_a_bad_configuration_is_refused_by_its_check_and_by_play(log, tmp_path, 
 def test_with_json_the_refusal_is_one_json_object(run, command):
     ended = run(*command, "--json")
     assert ended.status == 2
-    answer: dict[str, Any] = json.loads(ended.stdout)
+    answer = json.loads(ended.stdout)
     assert answer["event"] == "error"
     assert ended.errors == [f"hickory-stream: {answer['message']}"]
 
 
 def test_a_map_larger_than_memory_is_said_to_be(tmp_path, run, monkeypatch):
-    def too_large(*_: object) -> None:
+    def too_large(*_):
         raise MemoryError("Unable to allocate 446. GiB")
 
     monkeypatch.setattr("hickory_stream.cli.maps.inspect.run", too_large)
@@ -326,7 +323,7 @@ def test_a_map_larger_than_memory_is_said_to_be(tmp_path, run, monkeypatch):
 
 
 def test_our_own_failure_exits_with_1_and_one_line(log, tmp_path, run, monkeypatch):
-    def broken(*_: object) -> None:
+    def broken(*_):
         raise ZeroDivisionError("somewhere\nin the segmenter")
 
     monkeypatch.setattr("hickory_stream.perception.network_segmenter.NetworkSegmenter.segment", broken)

@@ -4,12 +4,10 @@ import html
 import json
 import shutil
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.cli import main
-from hickory_stream.evaluation.evaluate import Evaluation, evaluate
+from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.match import surface_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
@@ -20,19 +18,18 @@ from hickory_stream.evaluation.why_text import why_text
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.writer import JournalWriter
-from hickory_stream.map_folder.history.recorded import RecordedStep, frame_indices, recorded_steps
+from hickory_stream.map_folder.history.recorded import frame_indices, recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import Observation
 from tests.output_forms import checked
 
 
 @pytest.fixture(scope="module")
-def found(short_map: Path, demo_truth: Path) -> Evaluation:
+def found(short_map, demo_truth):
     return evaluate(open_map(short_map), load_truth(demo_truth))
 
 
 @pytest.fixture(scope="module")
-def why(short_map: Path, demo_truth: Path) -> Why:
+def why(short_map, demo_truth):
     told = reasons_of(open_map(short_map), load_truth(demo_truth))
     assert isinstance(told, Why)
     return told
@@ -41,32 +38,32 @@ def why(short_map: Path, demo_truth: Path) -> Why:
 class Explain:
     """Runs the command and gives what it printed."""
 
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def __init__(self, capsys):
         self._capsys = capsys
 
-    def json(self, *arguments: object) -> Any:
+    def json(self, *arguments):
         assert main(["explain", *map(str, arguments), "--json"]) == 0
         return json.loads(self._capsys.readouterr().out)
 
-    def text(self, *arguments: object) -> str:
+    def text(self, *arguments):
         assert main(["explain", *map(str, arguments)]) == 0
         return self._capsys.readouterr().out
 
-    def refusal(self, *arguments: object) -> str:
+    def refusal(self, *arguments):
         assert main(["explain", *map(str, arguments)]) == 2
         return self._capsys.readouterr().err
 
 
 @pytest.fixture
-def explain(capsys: pytest.CaptureFixture[str]) -> Explain:
+def explain(capsys):
     return Explain(capsys)
 
 
-def keyframes(path: Path) -> list[RecordedStep]:
+def keyframes(path):
     return [step for step in recorded_steps(path, open_map(path).snapshot) if step.keyframe is not None]
 
 
-def middle_of(observation: Observation) -> tuple[int, int]:
+def middle_of(observation):
     """The pixel of a mask that is nearest to its middle."""
     rows, columns = np.nonzero(observation.mask)
     middle = np.argmin(np.hypot(rows - rows.mean(), columns - columns.mean()))

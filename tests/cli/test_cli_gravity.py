@@ -2,25 +2,21 @@
 
 import json
 import re
-from collections.abc import Sequence
-from pathlib import Path
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
-from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, cast_scene
+from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, cast_scene
 from hickory_stream.geometry.rigid import from_rotation_translation
 from tests.cli.test_cli import look
-from tests.mapping.test_bad_gravity import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE, Pose
+from tests.mapping.test_bad_gravity import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE
 
 
-def log_of(
-    folder: Path, tilt_deg: float, boxes: Sequence[SceneBox] = SCENE_BOXES, poses_of: Sequence[Pose] = CIRCLE
-) -> Path:
+def log_of(folder, tilt_deg, boxes=SCENE_BOXES, poses_of=CIRCLE):
     """Write a folder in the layout of TUM whose poses are tilted by so much about x."""
     angle = np.radians(tilt_deg)
     rotation = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
     tilt = from_rotation_translation(rotation, np.zeros(3))
-    images: dict[str, list[str]] = {"rgb": [], "depth": []}
+    images = {"rgb": [], "depth": []}
     poses = []
     for name in images:
         (folder / name).mkdir(parents=True)

@@ -20,7 +20,7 @@ CLI_README = Path(hickory_stream.__file__).parent / "cli" / "README.md"
 COMMANDS = [" ".join(path) for path, _ in commands_of(make_parser()) if path]
 
 
-def readme_commands() -> list[str]:
+def readme_commands():
     """Return the arguments of every line of the READMEs' shell blocks that is a whole command."""
     lines = "".join(blocks_of("sh", readme) for readme in READMES).replace("\\\n", " ").splitlines()
     starts = re.compile(r"^(?:\.venv/bin/)?hickory-stream ([^#]+)")
@@ -84,7 +84,7 @@ def test_the_package_is_imported_without_what_it_may_need_later():
     assert done.stdout == "[]\n"
 
 
-def completed(script: str, words: list[str], folder: Path) -> set[str]:
+def completed(script, words, folder):
     """Return what bash offers for the last of some words."""
     listed = " ".join(map(shlex.quote, words))
     asked = f"COMP_WORDS=({listed}); COMP_CWORD={len(words) - 1}; _shtab_hickory_stream; "
@@ -185,6 +185,6 @@ def test_a_group_alone_does_its_first_action(alone, action, capsys):
 
 
 @pytest.mark.parametrize("module", ["hickory_stream.compiled", "hickory_stream.worlds.clutter.frames"])
-def test_moved_modules_name_their_new_place(module: str) -> None:
+def test_moved_modules_name_their_new_place(module):
     with pytest.raises(ModuleNotFoundError, match=r"is now (hickory_stream.base|tools.worlds)"):
         import_module(module)

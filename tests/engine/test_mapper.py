@@ -1,14 +1,11 @@
 import asyncio
-from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder, create_map_folder
-from hickory_stream.ports import Sink
-from hickory_stream.records import MapSnapshot
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.testing import BreakingSource
 from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
@@ -24,7 +21,7 @@ def test_snapshots_come_in_order_and_the_last_is_the_saved_map(tmp_path):
 
 
 def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path):
-    async def linger(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def linger(mapper, snapshot):
         if snapshot.revision == 1:
             assert mapper.folder is not None
             while not mapper.folder.manifest.finished_cleanly:  # noqa: ASYNC110 -- the end of a run is no event
@@ -36,7 +33,7 @@ def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path):
 
 
 def test_a_temporary_map_folder_exists_while_mapping_only():
-    async def run() -> Path:
+    async def run():
         async with Mapper() as mapper:
             async for _ in mapper.run(SceneSource(2)):
                 pass
@@ -49,7 +46,7 @@ def test_a_temporary_map_folder_exists_while_mapping_only():
 def test_leaving_the_loop_early_ends_the_run_and_saves_the_map(tmp_path):
     complaints = []
 
-    async def run() -> None:
+    async def run():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
         async with Mapper(out=tmp_path / "map") as mapper:
             async for _ in mapper.run(SceneSource(8)):
@@ -67,7 +64,7 @@ def test_leaving_the_loop_early_ends_the_run_and_saves_the_map(tmp_path):
 def test_leaving_the_loop_early_leaves_no_temporary_folder(is_broken):
     complaints, folders = [], []
 
-    async def run() -> None:
+    async def run():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
         async with Mapper() as mapper:
             async for _ in mapper.run(SceneSource(8)):
@@ -86,10 +83,10 @@ def test_leaving_the_loop_early_leaves_no_temporary_folder(is_broken):
 
 
 def test_linear_algebra_has_one_thread_while_mapping_only():
-    def threads() -> list[int]:
+    def threads():
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
-    async def run() -> list[int]:
+    async def run():
         async with Mapper():
             return threads()
 
@@ -99,7 +96,7 @@ def test_linear_algebra_has_one_thread_while_mapping_only():
 
 
 def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
-    async def leave(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def leave(mapper, snapshot):
         if snapshot.revision >= 4:
             raise InterruptedError
 
@@ -128,7 +125,7 @@ def test_a_source_without_depth_is_refused_and_leaves_no_map(tmp_path):
 
 
 def test_a_sink_that_cannot_be_made_leaves_no_map(tmp_path):
-    def fail(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def fail(folder):
         raise ViewerError("there is no screen")
 
     with pytest.raises(ViewerError, match="no screen"):

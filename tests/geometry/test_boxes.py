@@ -11,18 +11,18 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from tests.strategies import oriented_boxes, point_sets, rigid_transforms, seeds
 
 
-def box(center: tuple[float, ...] = (0, 0, 0), half: tuple[float, ...] = (1, 1, 1), turn_deg: float = 0) -> OrientedBox:
+def box(center=(0, 0, 0), half=(1, 1, 1), turn_deg=0):
     rotation = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
     return OrientedBox(
         world_from_box=from_rotation_translation(rotation, np.array(center)), half_extents_m=np.array(half)
     )
 
 
-def moved(a: OrientedBox, b_from_world: np.ndarray) -> OrientedBox:
+def moved(a, b_from_world):
     return OrientedBox(world_from_box=b_from_world @ a.world_from_box, half_extents_m=a.half_extents_m)
 
 
-def halfspaces(a: OrientedBox) -> np.ndarray:
+def halfspaces(a):
     """Six rows (n, -h) of the planes n . p <= h of a box."""
     normals = np.concatenate([a.world_from_box[:3, :3].T, -a.world_from_box[:3, :3].T])
     heights = normals @ a.center + np.tile(a.half_extents_m, 2)
@@ -207,7 +207,7 @@ def test_a_flat_cloud_gets_a_box_of_the_least_thickness(points, half):
     assert a.contains(np.array(points), 1e-6).all()
 
 
-def two_sides(yaw_rad: float, width_m: float = 1.2, depth_m: float = 0.5) -> np.ndarray:
+def two_sides(yaw_rad, width_m=1.2, depth_m=0.5):
     """The front and a part of one side of a cupboard, as a camera sees them."""
     along = np.linspace(0, 1, 60)
     front = np.stack([width_m * along, 0 * along], axis=1)

@@ -9,7 +9,7 @@ from hickory_stream.geometry.codecs.packing import planes_of
 from tests.strategies import seeds
 
 
-def running_means(rng: np.random.Generator, count: int, most_hits: int) -> np.ndarray:
+def running_means(rng, count, most_hits):
     """Return means as clouds have them: of one colour after another, rounded to float32 each time."""
     hits = rng.integers(1, most_hits + 1, count)
     means = rng.integers(0, 256, (count, 3)).astype(np.float32)
@@ -58,7 +58,7 @@ def test_fewer_or_more_bytes_are_refused(change):
     data = packed_means(means)
     assert data is not None
     with pytest.raises(ValueError, match="5 mean colours in"):
-        unpacked_means(change(data), 5)  # type: ignore[operator]
+        unpacked_means(change(data), 5)
 
 
 @given(st.binary(max_size=60), st.integers(0, 6))

@@ -13,7 +13,7 @@ from hickory_stream.geometry.mesh import (
 )
 
 
-def mesh_of(shape: trimesh.Trimesh) -> Mesh:
+def mesh_of(shape):
     rng = np.random.default_rng(0)
     count = len(shape.vertices)
     return Mesh(

@@ -15,11 +15,11 @@ from hickory_stream.geometry.superquadric import (
 )
 
 
-def sketch_of(points: np.ndarray) -> Superquadrics | None:
+def sketch_of(points):
     return sketch(points, gravity_aligned_box(points, 0.01))
 
 
-def seen(solid: trimesh.Trimesh, *, share: float = 1.0, noise_m: float = 0.003) -> np.ndarray:
+def seen(solid, *, share=1.0, noise_m=0.003):
     """Return points of the surface that face a camera at one side, and more of the rest as the share grows."""
     points, faces = trimesh.sample.sample_surface(solid, 3000, seed=1)
     towards = solid.face_normals[faces] @ np.array([0.8, 0.3, 0.5])
@@ -27,13 +27,13 @@ def seen(solid: trimesh.Trimesh, *, share: float = 1.0, noise_m: float = 0.003) 
     return np.asarray(kept + np.random.default_rng(0).normal(size=kept.shape) * noise_m)
 
 
-def is_within(solid: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+def is_within(solid, points):
     """Return which points are inside of a convex solid: behind all of its faces."""
     offsets = (solid.face_normals * solid.triangles_center).sum(axis=1)
     return np.asarray((points @ solid.face_normals.T <= offsets).all(axis=1))
 
 
-def placed(solid: trimesh.Trimesh, yaw: float) -> trimesh.Trimesh:
+def placed(solid, yaw):
     solid.apply_transform(from_rotation_translation(yaw_rotation(yaw), np.array([3.0, -2.0, 0.7])))
     return solid
 
@@ -82,7 +82,7 @@ def test_no_upright_primitive_costs_less_than_the_sketch(name):
     assert cost(found, points) <= min(cost(trial, points) for trial in trials) * (1 + 1e-9)
 
 
-def cost(primitive: Superquadrics, points: np.ndarray) -> float:
+def cost(primitive, points):
     """Return the mean radial distance to the points times the cube root of the volume."""
     return float(np.abs(radial_distance_m(primitive, 0, points)).mean() * np.cbrt(volumes_m3(primitive)[0]))
 

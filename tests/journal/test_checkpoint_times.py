@@ -3,7 +3,7 @@
 from hickory_stream.engine.step_writer import CheckpointTimes
 
 
-def due(keyframes: int, searching: str) -> str:
+def due(keyframes, searching):
     """Return where a checkpoint is due; `searching` has a 's' for each keyframe with an open search."""
     times = CheckpointTimes(keyframes)
     return "".join("x" if times.is_due(searches=one == "s") else "." for one in searching)

@@ -1,6 +1,5 @@
 """The file of a journal is whole MCAP, whoever began it, and is gone on with where it ends."""
 
-from pathlib import Path
 import pytest
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -13,7 +12,7 @@ from hickory_stream.journal.writer import JournalWriter
 from tests.journal.test_journal import NUM_STEPS, checkpoint, entry, read_numbers, write
 
 
-def go_on(folder: Path, *, steps: int = 1) -> None:
+def go_on(folder, *, steps=1):
     """Continue the journal of a folder with more steps, and close it."""
     with Journal(folder) as journal:
         journal.cut_to_resumable()
@@ -25,7 +24,7 @@ def go_on(folder: Path, *, steps: int = 1) -> None:
     writer.close()
 
 
-def topics_of(folder: Path) -> list[str]:
+def topics_of(folder):
     """Return the topic of each message as the MCAP library reads them, by the index and by the chunks alike."""
     with (folder / JOURNAL).open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -71,7 +70,7 @@ def test_a_run_killed_while_writing_the_index_loses_nothing(tmp_path):
         assert topics_of(tmp_path).count("step") == NUM_STEPS + 1
 
 
-def index_of_first(index: bytes) -> bytes:
+def index_of_first(index):
     """Return the first record of an index."""
     return index[: 9 + int.from_bytes(index[1:9], "little")]
 
@@ -112,7 +111,7 @@ def test_a_damaged_early_chunk_is_left_out_of_the_summary(tmp_path, content):
     assert first not in [index.chunk_start_offset for index in summary.chunk_indexes]
 
 
-def first_chunk(whole: bytes) -> int:
+def first_chunk(whole):
     """Return where the first chunk of a journal begins."""
     at = len(MAGIC)
     while whole[at] != Opcode.CHUNK:

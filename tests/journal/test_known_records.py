@@ -7,14 +7,14 @@ from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.record_codec import encode
 from hickory_stream.journal.snapshot_records import object_without_points
 from hickory_stream.journal.writer import JournalWriter
-from hickory_stream.records import MapSnapshot, TrackedObject
+from hickory_stream.records import TrackedObject
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.journal.test_journal import entry
 
 NUM_MAPS = 40
 
 
-def maps() -> list[MapSnapshot]:
+def maps():
     """Maps one after another, each with an object that was seen once more, some without one of the others."""
     whole = make_snapshot()
     found = []
@@ -28,13 +28,13 @@ def maps() -> list[MapSnapshot]:
     return found
 
 
-def written(journal: Journal, index: int) -> dict[int, bytes]:
+def written(journal, index):
     known = journal.known(index)
     assert known.revision == index
     return {key: encode(journal.known_record(place, TrackedObject)) for key, place in known.objects.items()}
 
 
-def expected(snapshot: MapSnapshot) -> dict[int, bytes]:
+def expected(snapshot):
     return {tracked.id: encode(object_without_points(tracked)) for tracked in snapshot.objects}
 
 

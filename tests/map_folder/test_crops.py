@@ -1,7 +1,6 @@
 import json
 import zlib
 from dataclasses import replace
-from typing import Literal
 import cv2
 import numpy as np
 import pytest
@@ -56,11 +55,11 @@ def test_a_view_cannot_be_written_where_there_is_no_folder(tmp_path):
         write_crop(tmp_path / "absent", "v", make_crop())
 
 
-def lossy(colors: Literal["jpeg", "webp"]) -> RunConfig:
+def lossy(colors):
     return RunConfig(view_colors=colors, view_quality=95)
 
 
-def shaded_crop() -> Crop:
+def shaded_crop():
     """As cameras see: colours that change slowly."""
     ramp = np.linspace(40, 200, 16, dtype=np.uint8)
     return replace(make_crop(), rgb=np.stack([np.tile(ramp, (12, 1))] * 3, axis=2))

@@ -3,14 +3,12 @@
 import asyncio
 import shutil
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Progress
 from hickory_stream.engine.shape_jobs.job_folder import read_job, write_job
 from hickory_stream.engine.shape_jobs.processor import processor_kind
 from hickory_stream.map_folder.codec import encode_superquadrics
@@ -27,21 +25,21 @@ from tests.in_process_workers import InProcessWorkers
 JPEG = "run.view_colors=jpeg"
 
 
-def endings(views: Path) -> set[str]:
+def endings(views):
     return {file.name.partition(".")[2] for file in views.iterdir()}
 
 
 def test_a_run_with_lossy_views_goes_on_to_the_same_map(tmp_path):
     exact = map_scene(tmp_path, *NO_SHAPES, name="exact")
 
-    def stop(mapper: Mapper, progress: Progress) -> None:
+    def stop(mapper, progress):
         if progress.keyframes == 4:
             mapper.stop()
 
     stopped = map_scene(tmp_path, *NO_SHAPES, JPEG, on_progress=stop).folder.path
     assert not open_map(stopped).manifest.finished_cleanly
 
-    async def resume() -> str | None:
+    async def resume():
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
         async with Mapper.resuming(
             stopped, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
@@ -108,7 +106,7 @@ def test_a_map_with_lossy_views_names_its_codecs_and_verifies(demo_log, tmp_path
 @pytest.mark.parametrize("colors", ["jpeg", "webp"])
 def test_a_map_folder_keeps_and_removes_files_of_a_lossy_view(tmp_path, colors):
     folder = create_map_folder(tmp_path / "m", config={}, source={})
-    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))  # type: ignore[arg-type] # a parameter
+    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))  # a parameter
     folder.save(snapshot)
     first = snapshot.objects[0]
     dropped, *_ = (view.name for view in first.views)

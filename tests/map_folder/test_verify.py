@@ -1,40 +1,36 @@
 import json
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 import pytest
 from hickory_stream.cli import main
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.verify import State, Verdict, verify
-from tests.engine.run_fixtures import SceneRun
+from hickory_stream.map_folder.verify import State, verify
 
 
 @pytest.fixture
-def sound(undisturbed_run: SceneRun) -> SceneRun:
+def sound(undisturbed_run):
     return undisturbed_run
 
 
 @pytest.fixture
-def path(sound: SceneRun, tmp_path: Path) -> Path:
+def path(sound, tmp_path):
     shutil.copytree(sound.folder.path, tmp_path / "map")
     return tmp_path / "map"
 
 
-def change(file: Path, changed: Callable[[dict[str, Any]], object]) -> None:
+def change(file, changed):
     document = json.loads(file.read_text())
     changed(document)
     file.write_text(json.dumps(document))
 
 
-def shrink_layer_four(path: Path) -> int:
+def shrink_layer_four(path):
     """Make layer 4 of the first object that has one a millimetre wide; return its id."""
     ids = []
 
-    def shrink(document: dict[str, Any]) -> None:
+    def shrink(document):
         tracked = next(o for o in document["objects"] if o["shape"] is not None)
         inflated = tracked["shape"]["inflated"]
         inflated["semi_axes_m"] = [[0.001] * 3 for _ in inflated["semi_axes_m"]]
@@ -44,16 +40,16 @@ def shrink_layer_four(path: Path) -> int:
     return int(ids[0])
 
 
-def compute_digest_anew(path: Path) -> None:
+def compute_digest_anew(path):
     digest = map_digest(open_map(path).snapshot)
     change(path / "manifest.json", lambda manifest: manifest.update(digest=digest))
 
 
-def states(verdict: Verdict, check: str) -> set[State]:
+def states(verdict, check):
     return {finding.state for finding in verdict.findings if finding.check == check}
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def call(capsys, *arguments):
     capsys.readouterr()
     status = main([str(argument) for argument in arguments])
     return status, *capsys.readouterr()
@@ -140,7 +136,7 @@ def test_a_recomputed_digest_hides_nothing_from_verify(path):
 
 
 def test_a_margin_that_was_taken_away_is_found(path):
-    def without_margin(document: dict[str, Any]) -> None:
+    def without_margin(document):
         for tracked in document["objects"]:
             if tracked["shape"] is not None:
                 tracked["shape"]["containment"]["margin_m"] = 0.0

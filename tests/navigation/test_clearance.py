@@ -19,7 +19,7 @@ from tests.shapes.shape_fixtures import shape_inputs
 from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 
-def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:
+def random_primitives(rng, count, size_m=4.0):
     rotations = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
     rotations[:, :, 2] *= np.sign(np.linalg.det(rotations))[:, None]
     poses = np.stack([from_rotation_translation(r, rng.uniform(0, size_m, 3)) for r in rotations])
@@ -28,18 +28,18 @@ def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0)
     return Superquadrics(exponents=exponents, semi_axes_m=rng.uniform(0.02, 0.5, (count, 3)), world_from_local=poses)
 
 
-def brute_force(primitives: Superquadrics, points: np.ndarray) -> np.ndarray:
+def brute_force(primitives, points):
     return np.any([log_implicit_value(primitives, i, points) <= 0 for i in range(len(primitives))], axis=0)
 
 
-def scene_of(primitives: Superquadrics) -> ClearanceScene:
+def scene_of(primitives):
     scene = ClearanceScene()
     for i in range(len(primitives)):
         scene.put(i, taken(primitives, np.array([i])))
     return scene
 
 
-def one(semi_axes: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0), e: float = 1.0):
+def one(semi_axes, at=(0, 0, 0), e=1.0):
     return Superquadrics(
         exponents=np.full((1, 2), e),
         semi_axes_m=np.array([semi_axes]),

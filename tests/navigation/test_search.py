@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.navigation.clearance import ClearanceScene
-from hickory_stream.navigation.free_space import FreeSpace, free_space_of, without_layer_four
+from hickory_stream.navigation.free_space import free_space_of, without_layer_four
 from hickory_stream.navigation.robot import Part, Posture, Robot, load_robot, robot_of
 from hickory_stream.navigation.search import NoPath, NoPathReason, Path, SearchConfig, first_path, plan
 from hickory_stream.records import MapSnapshot, Phase
@@ -14,21 +14,21 @@ START, GOAL = np.array([0.7, 0.6]), np.array([5.3, 3.4])
 POINT = load_robot("point")
 
 
-def answer_of(space: FreeSpace, start: object = START, goal: object = GOAL, **config: object) -> Path | NoPath:
+def answer_of(space, start=START, goal=GOAL, **config):
     return plan(space, np.array(start), np.array(goal), SearchConfig(**config))
 
 
 @pytest.fixture(scope="module")
-def room() -> MapSnapshot:
+def room():
     return snapshot(tracked(1, table()), tracked(2, boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))))
 
 
 @pytest.fixture(scope="module")
-def space(room: MapSnapshot) -> FreeSpace:
+def space(room):
     return free_space_of(room, POINT)
 
 
-def assert_touches_nothing(path: Path, room: MapSnapshot, robot: Robot) -> None:
+def assert_touches_nothing(path, room, robot):
     """Points of the body, every 2 cm of the way and while it turns, against the superquadrics and the voxels."""
     scene = ClearanceScene()
     for item in room.objects:
@@ -112,7 +112,7 @@ def test_a_long_robot_turns_to_pass_the_door_and_touches_nothing(room):
 
 
 def test_every_reason_for_no_path_is_told_apart(space, room):
-    def reason(answer: Path | NoPath) -> NoPathReason:
+    def reason(answer):
         assert isinstance(answer, NoPath)
         assert answer.text
         return answer.reason
@@ -162,5 +162,5 @@ def test_an_object_that_goes_gives_its_place_back(room):
     space.remove(2)
     assert space.blocked().mean() < before
     assert isinstance(answer_of(space, goal=(4.5, 1.0)), Path)
-    space.put(2, room.objects[1].shape.inflated)  # type: ignore[union-attr]
+    space.put(2, room.objects[1].shape.inflated)
     assert space.blocked().mean() == before

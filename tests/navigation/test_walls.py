@@ -14,7 +14,7 @@ from tests.navigation.rooms import VOXEL_M, boxes, seen_room
 BAND = Band(low_m=0.0, high_m=2.0)
 
 
-def room_with(cells: np.ndarray, *, without: np.ndarray | None = None) -> Submap:
+def room_with(cells, *, without=None):
     """Return the room with more structure, and less."""
     space = seen_room()
     structure = np.union1d(space.structure, keys_of_cells(cells))
@@ -23,18 +23,18 @@ def room_with(cells: np.ndarray, *, without: np.ndarray | None = None) -> Submap
     return Submap(id=0, world_from_submap=np.eye(4), observed_space=space)
 
 
-def block(low: tuple[int, int, int], high: tuple[int, int, int]) -> np.ndarray:
+def block(low, high):
     """Return the (N, 3) cells from a low corner to below a high one."""
     return np.argwhere(np.ones(np.subtract(high, low), bool)) + low
 
 
-def cells_in(hulls: np.ndarray) -> set[tuple[int, int, int]]:
+def cells_in(hulls):
     """Return the cells that boxes along the axes hold."""
     ends = np.round(np.stack([hulls.min(axis=1), hulls.max(axis=1)], axis=1) / VOXEL_M).astype(int)
     return {tuple(cell) for low, high in ends for cell in block(low, high).tolist()}
 
 
-def num_posts(hulls: np.ndarray) -> int:
+def num_posts(hulls):
     """Return how many boxes are no more than two voxels thick both ways, and higher than a metre."""
     sizes = np.ptp(hulls, axis=1)
     return int(((sizes[:, :2] < 2.5 * VOXEL_M).all(axis=1) & (sizes[:, 2] > 1.0)).sum())

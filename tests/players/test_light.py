@@ -4,7 +4,7 @@ import numpy as np
 from players.doctor.image_brightness import brightness_of, median_brightness
 
 
-def image(*rgb: int) -> np.ndarray:
+def image(*rgb):
     return np.broadcast_to(np.array(rgb, dtype=np.uint8), (40, 60, 3))
 
 

@@ -9,7 +9,7 @@ from tests import player_scenes as scenes
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _mcap(path: Path) -> Path:
+def _mcap(path):
     m = scenes.Messages(ros=2)
     return scenes.write_mcap(path, m, scenes.scene_messages(m, scenes.make_scene(), scenes.png_images))
 
@@ -111,7 +111,7 @@ def test_importing_the_players_loads_no_special_parts():
 BAGS = ROOT / "../shared/data/bags"
 
 
-def _real_logs() -> list[Path]:
+def _real_logs():
     suffixes = (".bag", ".mcap", ".db3")
     return sorted(p for p in BAGS.rglob("*") if p.suffix in suffixes or (p / "metadata.yaml").is_file())
 

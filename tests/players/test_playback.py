@@ -7,10 +7,10 @@ from players.playback import PlaybackClock, PlayedSource
 
 
 class _Time:
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_s = 100.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now_s
 
 
@@ -93,7 +93,7 @@ def test_stopping_wakes_whoever_waits():
     clock = PlaybackClock(None)
     clock.pause(True)
     source = PlayedSource(SceneSource(2), clock)
-    frames: list[object] = []
+    frames = []
     thread = threading.Thread(target=lambda: frames.extend(source.frames()))
     thread.start()
     source.interrupt()

@@ -2,7 +2,6 @@ import json
 import re
 import sys
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import psutil
 import pytest
@@ -23,7 +22,7 @@ from hickory_stream.inspection.inspect import summarize
 from hickory_stream.map_folder.history.recorded import recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.ports import GeneratedMesh, NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, make_reconstructor
 from hickory_stream.testing import InstanceSegmenter
 from tests.engine.run_fixtures import map_scene, scene_request
@@ -43,7 +42,7 @@ LEVEL = 3
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> ShapeInputs:
+def inputs(tmp_path_factory):
     """A box, seen from four places."""
     views = tmp_path_factory.mktemp("views")
     asked = scene_request(views, num_views=4)
@@ -54,7 +53,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> ShapeInputs:
 
 
 @pytest.fixture
-def toml(tmp_path: Path) -> Path:
+def toml(tmp_path):
     (tmp_path / "box_generator.py").write_text((HERE / "box_generator.py").read_text())
     (tmp_path / "weights.bin").write_bytes(b"1234")
     path = tmp_path / "box.toml"
@@ -62,7 +61,7 @@ def toml(tmp_path: Path) -> Path:
     return path
 
 
-def config(toml: Path, i_accept: str = "I do research") -> MapperConfig:
+def config(toml, i_accept="I do research"):
     run = RunConfig(generator=str(toml), accept_licence=i_accept)
     return MapperConfig(run=run, shapes=ShapeConfig(reconstructor="external"))
 
@@ -120,7 +119,7 @@ def test_the_embedded_shape_stays_where_the_generated_is_refused(inputs):
     class Fails:
         name = "fails"
 
-        def generate(self, inputs: ShapeInputs) -> GeneratedMesh | NoShape:
+        def generate(self, inputs):
             del inputs
             return NoShape(reason="no memory", hit_limit=True)
 

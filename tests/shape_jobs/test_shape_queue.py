@@ -1,20 +1,18 @@
 """Answers come when the test says so: what is proved is the order of the commits, not the work of the workers."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, cast
+from typing import cast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.engine.shape_jobs.job_folder import read_job, write_result
 from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
-from hickory_stream.events import RequestShape, ShapeFailed, ShapeReady
-from hickory_stream.map_folder.writer import MapFolder, create_map_folder
+from hickory_stream.events import ShapeFailed, ShapeReady
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.ports import NoShape
-from hickory_stream.shapes.build import ShapeConfig, build_shape
+from hickory_stream.shapes.build import build_shape
 from hickory_stream.testing import BoxReconstructor
 from tests.engine.run_fixtures import scene_config, scene_request
 
@@ -24,15 +22,15 @@ SECOND_NS = 1_000_000_000
 class HandWorkers:
     """Workers whose answers are given by hand, by ticket."""
 
-    def __init__(self) -> None:
-        self.open: dict[int, tuple[Path, asyncio.Future[str | None]]] = {}
+    def __init__(self):
+        self.open = {}
 
-    def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+    def submit(self, folder):
+        answer = asyncio.get_running_loop().create_future()
         self.open[int(folder.name)] = folder, answer
         return answer
 
-    def answer(self, ticket: int, reason: str | None = None) -> None:
+    def answer(self, ticket, reason=None):
         folder, answer = self.open[ticket]
         if reason is None and not (folder / "result.json").exists():
             write_result(folder, NoShape(reason=f"no shape {ticket}"), "")
@@ -42,20 +40,20 @@ class HandWorkers:
 class Desk:
     """A queue, its workers, and the one request that all others are made from."""
 
-    def __init__(self, tmp_path: Path) -> None:
-        self.folder: MapFolder = create_map_folder(tmp_path / "map", config={}, source={})
-        self.config: ShapeConfig = scene_config(tmp_path / "config").shapes
-        self.request: RequestShape = scene_request(self.folder.views, num_views=2)
+    def __init__(self, tmp_path):
+        self.folder = create_map_folder(tmp_path / "map", config={}, source={})
+        self.config = scene_config(tmp_path / "config").shapes
+        self.request = scene_request(self.folder.views, num_views=2)
         self.reset()
 
-    def reset(self) -> None:
+    def reset(self):
         self.workers = HandWorkers()
         self.queue = ShapeQueue(self.folder, cast("LocalWorkers", self.workers), self.config)
 
-    async def ask(self, ticket: int, due_ns: int) -> None:
+    async def ask(self, ticket, due_ns):
         await self.queue.request(replace(self.request, ticket=ticket, due_ns=due_ns, views=()))
 
-    async def committed(self, stamp_ns: int | None) -> list[tuple[int, int]]:
+    async def committed(self, stamp_ns):
         events = []
         while (event := await self.queue.next_due(stamp_ns)) is not None:
             events.append((event.ticket, event.stamp_ns))
@@ -63,18 +61,18 @@ class Desk:
 
 
 @pytest.fixture(scope="module")
-def shared_desk(tmp_path_factory: pytest.TempPathFactory) -> Desk:
+def shared_desk(tmp_path_factory):
     return Desk(tmp_path_factory.mktemp("desk"))
 
 
 @pytest.fixture
-def desk(shared_desk: Desk) -> Desk:
+def desk(shared_desk):
     shared_desk.reset()
     return shared_desk
 
 
-def run(use: Callable[[], Awaitable[Any]]) -> Any:
-    async def main() -> Any:
+def run(use):
+    async def main():
         return await use()
 
     return asyncio.run(main())
@@ -85,7 +83,7 @@ def test_commits_follow_due_stamp_and_ticket_in_any_order(shared_desk, data, due
     shared_desk.reset()
     order = data.draw(st.permutations(range(1, len(dues) + 1)))
 
-    async def use() -> list[tuple[int, int]]:
+    async def use():
         for ticket, due in enumerate(dues, start=1):
             await shared_desk.ask(ticket, due * SECOND_NS)
         for ticket in order:
@@ -100,7 +98,7 @@ def test_commits_follow_due_stamp_and_ticket_in_any_order(shared_desk, data, due
 
 
 def test_nothing_is_committed_before_it_is_due(desk):
-    async def use() -> list[tuple[int, int]]:
+    async def use():
         await desk.ask(1, 2 * SECOND_NS)
         desk.workers.answer(1)
         assert await desk.committed(2 * SECOND_NS - 1) == []
@@ -112,7 +110,7 @@ def test_nothing_is_committed_before_it_is_due(desk):
 
 
 def test_a_late_answer_is_waited_for(desk):
-    async def use() -> None:
+    async def use():
         await desk.ask(1, SECOND_NS)
         waiting = asyncio.create_task(desk.queue.next_due(SECOND_NS))
         for _ in range(5):
@@ -127,7 +125,7 @@ def test_a_late_answer_is_waited_for(desk):
 
 
 def test_without_a_stamp_all_open_jobs_are_committed_when_due(desk):
-    async def use() -> list[tuple[int, int]]:
+    async def use():
         await desk.ask(1, 7 * SECOND_NS)
         await desk.ask(2, 5 * SECOND_NS)
         desk.workers.answer(1)
@@ -138,7 +136,7 @@ def test_without_a_stamp_all_open_jobs_are_committed_when_due(desk):
 
 
 def test_a_shape_that_was_built_comes_as_ready_with_its_timings(desk):
-    async def use() -> None:
+    async def use():
         await desk.queue.request(desk.request)
         folder, _ = desk.workers.open[1]
         inputs, config = read_job(folder)
@@ -155,7 +153,7 @@ def test_a_shape_that_was_built_comes_as_ready_with_its_timings(desk):
 
 
 def test_a_job_that_was_given_up_comes_as_failed_with_the_reason(desk):
-    async def use() -> ShapeReady | ShapeFailed | None:
+    async def use():
         await desk.ask(1, 0)
         desk.workers.answer(1, "no answer within 60 s")
         return await desk.queue.next_due(0)
@@ -167,7 +165,7 @@ def test_a_job_that_was_given_up_comes_as_failed_with_the_reason(desk):
 
 
 def test_an_answer_that_cannot_be_read_comes_as_failed(desk):
-    async def use() -> ShapeReady | ShapeFailed | None:
+    async def use():
         await desk.ask(1, 0)
         folder, answer = desk.workers.open[1]
         (folder / "result.json").write_text("{")
@@ -180,7 +178,7 @@ def test_an_answer_that_cannot_be_read_comes_as_failed(desk):
 
 
 def test_a_job_that_somebody_gave_up_waiting_for_is_still_open(desk):
-    async def patience() -> tuple[bool, list[tuple[int, int]]]:
+    async def patience():
         await desk.ask(1, due_ns=SECOND_NS)
         with pytest.raises(asyncio.TimeoutError):
             await asyncio.wait_for(desk.queue.next_due(None), timeout=0.01)
@@ -192,7 +190,7 @@ def test_a_job_that_somebody_gave_up_waiting_for_is_still_open(desk):
 
 
 def test_a_cancelled_job_is_neither_waited_for_nor_committed(desk):
-    async def use() -> list[tuple[int, int]]:
+    async def use():
         await desk.ask(1, 0)
         await desk.ask(2, 0)
         desk.queue.cancel(1)

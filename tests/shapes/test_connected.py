@@ -20,8 +20,8 @@ def test_pieces_of_cells_are_labelled_in_their_order(seed, share, shape):
         assert np.array_equal(piece_around(cells, *cell), truth == truth[tuple(cell)])
 
 
-def edges_by_count(faces: np.ndarray) -> dict[tuple[int, int], int]:
-    balance: dict[tuple[int, int], int] = {}
+def edges_by_count(faces):
+    balance = {}
     for face in faces.tolist():
         for a, b in zip(face, face[1:] + face[:1], strict=True):
             balance[a, b] = balance.get((a, b), 0) + 1

@@ -1,15 +1,15 @@
 import numpy as np
 import trimesh
 from hickory_stream.shapes.fit.envelope import filled
-from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
+from hickory_stream.shapes.sdf import distance_grid
 from tools.evaluation.shapes.meshes import hollow_mesh, test_mesh
 
 
-def grid_of(mesh: trimesh.Trimesh) -> DistanceGrid:
+def grid_of(mesh):
     return distance_grid(np.asarray(mesh.vertices), mesh.faces.astype(np.int32), cells=32, band_cells=3.0)
 
 
-def volume_of(grid: DistanceGrid) -> float:
+def volume_of(grid):
     return float((grid.values < 0).sum() * grid.step_m**3)
 
 

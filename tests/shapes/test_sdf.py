@@ -3,18 +3,18 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
+from hickory_stream.shapes.sdf import distance_grid
 
 
-def grid_of(mesh: trimesh.Trimesh, cells: int = 32) -> DistanceGrid:
+def grid_of(mesh, cells=32):
     return distance_grid(np.asarray(mesh.vertices), mesh.faces.astype(np.int32), cells=cells, band_cells=3.0)
 
 
-def points_of(grid: DistanceGrid) -> np.ndarray:
+def points_of(grid):
     return grid.points(np.arange(grid.values.size))
 
 
-def box_distance(points: np.ndarray, half: np.ndarray) -> np.ndarray:
+def box_distance(points, half):
     q = np.abs(points) - half
     return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
 

@@ -13,7 +13,7 @@ REPORT = FrameReport(
 )  # fmt: skip
 
 
-def read(sink: MetricsSink) -> dict[str, float]:
+def read(sink):
     with urllib.request.urlopen(f"http://127.0.0.1:{sink.port}/metrics", timeout=10) as answer:
         lines = answer.read().decode().splitlines()
     return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines if line[0] != "#")}

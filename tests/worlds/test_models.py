@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.geometry.mesh import Mesh, is_closed, sha256_of, volume_m3
 from hickory_stream.worlds import furniture, small_things
-from hickory_stream.worlds.object_models import Part, ellipsoid, lathe, model_mesh, rounded_box, tube
+from hickory_stream.worlds.object_models import ellipsoid, lathe, model_mesh, rounded_box, tube
 from hickory_stream.worlds.room import furnished_room
 from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.textures import Texture, colors_at
@@ -17,7 +17,7 @@ MAKERS = [
 ]  # fmt: skip
 
 
-def as_mesh(part: Part) -> Mesh:
+def as_mesh(part):
     count = len(part.vertices)
     return Mesh(
         vertices=part.vertices.astype(np.float32),

@@ -1,19 +1,16 @@
 import asyncio
 import json
 import time
-from pathlib import Path
 import numpy as np
 from hickory_stream.cli import main
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.history.live_map import is_live, live_map
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.free_space import obstacles_of
-from hickory_stream.records import MapSnapshot
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 
 
-def plan(folder: Path, snapshot: MapSnapshot) -> int:
+def plan(folder, snapshot):
     """Ask for a way to where a side of an object was seen, as JSON, once the journal, which is behind, has that."""
     while (found := live_map(folder)) is None or found[0].revision < snapshot.revision:
         time.sleep(0.02)
@@ -25,10 +22,10 @@ def plan(folder: Path, snapshot: MapSnapshot) -> int:
 
 
 def test_a_plan_in_a_growing_map_avoids_what_was_hardly_seen(tmp_path, capsys):
-    answers: list[int] = []
-    sure: list[int] = []
+    answers = []
+    sure = []
 
-    async def asked(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def asked(mapper, snapshot):
         assert mapper.folder is not None
         if not answers and len(snapshot.objects):
             sure.append(len(obstacles_of(snapshot)))

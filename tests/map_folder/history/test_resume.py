@@ -1,11 +1,9 @@
 import asyncio
 import json
 import shutil
-from pathlib import Path
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper, MapperConfig
-from hickory_stream.engine.modes import Progress
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
@@ -15,17 +13,17 @@ from hickory_stream.map_folder.history.resume import reopen
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
+from tests.engine.run_fixtures import NUM_FRAMES, map_scene
 from tests.in_process_workers import InProcessWorkers
 
 
 @pytest.fixture
-def undisturbed(undisturbed_run: SceneRun) -> SceneRun:
+def undisturbed(undisturbed_run):
     return undisturbed_run
 
 
-def resume(path: Path, source: SceneSource | None = None) -> str | None:
-    async def run() -> str | None:
+def resume(path, source=None):
+    async def run():
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
         async with Mapper.resuming(
             path, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
@@ -56,7 +54,7 @@ def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed):
 
 @pytest.mark.parametrize("keyframes", [1, 4, 7])
 def test_a_run_that_was_stopped_goes_on_to_the_same_map(undisturbed, tmp_path, keyframes):
-    def stop(mapper: Mapper, progress: Progress) -> None:
+    def stop(mapper, progress):
         if progress.keyframes == keyframes:
             mapper.stop()
 
@@ -97,7 +95,7 @@ def test_a_finished_map_a_live_map_and_another_log_are_refused(undisturbed, tmp_
     with pytest.raises(MapFolderError, match="is finished: there is nothing to resume"):
         resume(undisturbed.folder.path)
 
-    def stop(mapper: Mapper, progress: Progress) -> None:
+    def stop(mapper, progress):
         if progress.keyframes == 2:
             mapper.stop()
 

@@ -2,7 +2,6 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
@@ -16,10 +15,8 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
-from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.mapping.entities.cloud import is_packed
-from hickory_stream.ports import Sink
 from hickory_stream.records import FrameReport
 from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
@@ -32,23 +29,23 @@ class Watched:
     reports: list[FrameReport]
 
     @property
-    def saved(self) -> SavedMap:
+    def saved(self):
         return open_map(self.run.folder.path)
 
 
-def watch(path: Path, *overrides: str, loops: int = 1) -> Watched:
+def watch(path, *overrides, loops=1):
     from hickory_stream.sinks.disk_sink import DiskSink
 
     sink = RememberingSink()
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def sinks(folder):
         return [(DiskSink(folder), True), (sink, True)]
 
     return Watched(map_scene(path, *overrides, sinks=sinks, loops=loops), sink.reports)
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+def watched(tmp_path_factory):
     return watch(tmp_path_factory.mktemp("watched"), "journal.checkpoint_keyframes=3")
 
 
@@ -85,7 +82,7 @@ def test_lazily_read_arrays_give_the_same_bytes(watched):
         later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
     assert at_once is not None
     assert later is not None
-    unread = [track.cloud for track in later[1].core["tracks"].values()]  # type: ignore[attr-defined]
+    unread = [track.cloud for track in later[1].core["tracks"].values()]
     assert any(is_packed(cloud) for cloud in unread)
     # The journal is closed: what is read now is read from a file that stays open for it.
     assert encode(later[1].core) == encode(at_once[1].core)
@@ -184,7 +181,7 @@ def test_only_points_and_space_need_the_events(watched, monkeypatch):
     assert (known.revision, known.stamp_ns) == (replayed.revision, replayed.stamp_ns)
 
 
-def _refuse(*_: object) -> None:
+def _refuse(*_):
     raise AssertionError("nobody looked at points")
 
 

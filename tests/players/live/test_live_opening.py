@@ -18,11 +18,11 @@ from tools.robot.prepared import restamped
 INFOS = "camera_info"
 
 
-def opened(route: ScriptedRoute, *, inbox: Inbox | None = None, patience_s: float = 5.0, **options):
+def opened(route, *, inbox=None, patience_s=5.0, **options):
     return open_live(route.uri, route=route, inbox=inbox, patience_s=patience_s, attempt_s=0.3, **options)
 
 
-def unaccounted(source, route: ScriptedRoute) -> dict[str, int]:
+def unaccounted(source, route):
     """Return, by topic, how many of the messages that a route sent are in no bucket of the ledger."""
     entries = {entry.topic: entry for entry in source.account().topics}
     return {name: number - entries[name].total for name, number in route.sent.items() if number != entries[name].total}
@@ -60,7 +60,7 @@ def test_images_tell_the_roles_that_names_do_not():
     }
 
     class OnDemand(ScriptedRoute):
-        def subscribe(self, names) -> None:
+        def subscribe(self, names):
             self.send(p for p in packets if p.topic.name in set(names) - self.asked)
             super().subscribe(names)
 
@@ -77,9 +77,9 @@ def test_images_tell_the_roles_that_names_do_not():
 def test_calibration_that_comes_late_is_waited_for_by_name():
     late = [packet for packet in scene_packets() if INFOS in packet.topic.name]
     route = ScriptedRoute(at_start=[packet for packet in scene_packets() if INFOS not in packet.topic.name])
-    told: list[str] = []
+    told = []
 
-    def tell(text: str) -> None:
+    def tell(text):
         told.append(text)
         route.send(late)
 
@@ -97,9 +97,9 @@ def test_topics_are_reported_as_they_appear():
         [packet for packet in packets if word in packet.topic.name] for word in ("tf_static", "odom", "color", "depth")
     ]
     route = ScriptedRoute()
-    told: list[str] = []
+    told = []
 
-    def tell(text: str) -> None:
+    def tell(text):
         told.append(text)
         if parts:
             route.send(parts.pop(0))
@@ -148,7 +148,7 @@ def test_a_clock_that_is_set_back_a_little_is_found(back_s):
     middle_ns, back_ns = packets[len(packets) // 2].stamp_ns, round(back_s * 1e9)
 
     class Timely(ScriptedRoute):
-        def send(self, packets) -> None:
+        def send(self, packets):
             for packet in packets:
                 now_ns[0] = packet.stamp_ns - time.monotonic_ns()
                 is_after = packet.stamp_ns >= middle_ns and "static" not in packet.topic.name
@@ -234,7 +234,7 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch):
     source = opened(route)
     frames = source.frames()
     next(frames)
-    readers: list[PoseReader] = []
+    readers = []
     forget = PoseReader.forget_older
     monkeypatch.setattr(PoseReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
     route.send(
@@ -269,7 +269,7 @@ def test_images_that_change_size_in_mid_stream_are_counted():
 
 
 def test_the_camera_decides_between_robots_with_equal_frames():
-    def of(robot: str, shift_m: float) -> list[Packet]:
+    def of(robot, shift_m):
         store, moved = Messages(2).store, []
         for packet in scene_packets(12):
             data = packet.data

@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
@@ -15,17 +14,17 @@ REGISTERED = SourceOptions(profile="registered")
 
 
 @pytest.fixture
-def seven(tmp_path: Path) -> Path:
+def seven(tmp_path):
     return scenes.write_seven_scenes(tmp_path / "seven", TRUTH)
 
 
 @pytest.fixture
-def tum(tmp_path: Path) -> Path:
+def tum(tmp_path):
     return scenes.write_tum(tmp_path / "tum", TRUTH)
 
 
 @pytest.fixture
-def posed(tmp_path: Path) -> Path:
+def posed(tmp_path):
     return scenes.write_posed_folder(tmp_path / "posed", TRUTH)
 
 
@@ -261,7 +260,7 @@ def test_missing_parameters_are_a_missing_calibration(posed):
         open_source(posed)
 
 
-def _resize(folder, pattern: str, size: tuple[int, int]) -> None:
+def _resize(folder, pattern, size):
     for file in folder.glob(pattern):
         image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         scenes.write_png(file, cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))

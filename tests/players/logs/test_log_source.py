@@ -1,18 +1,12 @@
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import cv2
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.ports import Source
 from players import SourceOptions, open_source
 from tests import player_scenes as scenes
-
-Change = Callable[[scenes.Message], scenes.Message | None]
 
 MS = 1_000_000
 M = scenes.Messages(ros=2)
@@ -23,28 +17,28 @@ COLOR_INFO = "/cam/color/camera_info"
 DEPTH_INFO = "/cam/aligned_depth/camera_info"
 
 
-def _open(path: Path, messages: list[scenes.Message], options: SourceOptions | None = None, **settings: Any) -> Source:
+def _open(path, messages, options=None, **settings):
     log = scenes.write_mcap(path / "log.mcap", M, sorted(messages, key=lambda m: m.stamp_ns), **settings)
     return open_source(log, options)
 
 
-def _changed(topic: str, change: Change, messages: list[scenes.Message] = LOG) -> list[scenes.Message]:
+def _changed(topic, change, messages=LOG):
     """Return the log with the messages of a topic changed, or removed where the change is None."""
     out = [change(message) if message.topic == topic else message for message in messages]
     return [message for message in out if message is not None]
 
 
-def _without(*topics: str) -> list[scenes.Message]:
+def _without(*topics):
     return [message for message in LOG if message.topic not in topics]
 
 
-def _only(index: int, change: Change) -> Change:
+def _only(index, change):
     """Apply a change to one image only."""
     stamps = (TRUTH[index].stamp_ns, TRUTH[index].stamp_ns + 9 * MS)
     return lambda message: change(message) if message.stamp_ns in stamps else message
 
 
-def _with_info(topic: str, info: Any) -> list[scenes.Message]:
+def _with_info(topic, info):
     return _changed(topic, lambda message: replace(message, message=info))
 
 
@@ -93,7 +87,7 @@ def test_odometry_without_a_way_to_the_camera_names_both_frames(tmp_path):
 def test_depth_without_a_link_to_colour_names_both_frames(tmp_path):
     other = M.header(TRUTH[0].stamp_ns, "depth_optical")
 
-    def move(message: scenes.Message) -> scenes.Message:
+    def move(message):
         return replace(
             message, message=replace(message.message, header=replace(message.message.header, frame_id=other.frame_id))
         )
@@ -103,7 +97,7 @@ def test_depth_without_a_link_to_colour_names_both_frames(tmp_path):
 
 
 def test_poses_that_never_overlap_are_refused_with_ranges(tmp_path):
-    def later(message: scenes.Message) -> scenes.Message:
+    def later(message):
         stamp_ns = message.stamp_ns + 3_600_000 * MS
         return replace(message, stamp_ns=stamp_ns, message=replace(message.message, header=M.header(stamp_ns, "odom")))
 
@@ -112,7 +106,7 @@ def test_poses_that_never_overlap_are_refused_with_ranges(tmp_path):
 
 
 def test_colour_and_depth_that_never_meet_are_refused(tmp_path):
-    def later(message: scenes.Message) -> scenes.Message:
+    def later(message):
         header = M.header(message.stamp_ns + 40_000 * MS, scenes.OPTICAL)
         return replace(message, message=replace(message.message, header=header))
 
@@ -134,7 +128,7 @@ def test_a_log_without_messages_is_told(tmp_path):
     ("topic", "encoding"), [(scenes.RAW_COLOR, "jpeg2000"), (scenes.RAW_DEPTH, "64FC1"), (scenes.RAW_DEPTH, "rgb8")]
 )
 def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path, topic, encoding):
-    def recode(message: scenes.Message) -> scenes.Message:
+    def recode(message):
         return replace(message, message=replace(message.message, encoding=encoding))
 
     with pytest.raises(RecordingError, match=rf"{topic} is encoded as '{encoding}'; .* must be one of"):
@@ -142,7 +136,7 @@ def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path, topic, encod
 
 
 def test_inverse_depth_without_parameters_is_refused(tmp_path):
-    def recode(message: scenes.Message) -> scenes.Message:
+    def recode(message):
         return replace(message, message=replace(message.message, format="32FC1; compressedDepth png"))
 
     with pytest.raises(RecordingError, match=r"none of the first 6 images.*inverse depth without parameters"):
@@ -152,7 +146,7 @@ def test_inverse_depth_without_parameters_is_refused(tmp_path):
 @pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
 @pytest.mark.parametrize("size", [0, 60])
 def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, size):
-    def tear(message: scenes.Message) -> scenes.Message:
+    def tear(message):
         return replace(message, message=replace(message.message, data=message.message.data[:size]))
 
     source = _open(tmp_path, _changed(topic, _only(2, tear)))
@@ -165,7 +159,7 @@ def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, si
 
 
 def test_a_first_image_without_bytes_does_not_stop_the_log(tmp_path):
-    def empty(message: scenes.Message) -> scenes.Message:
+    def empty(message):
         return replace(message, message=replace(message.message, data=message.message.data[:0]))
 
     assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, empty))).frames())) == len(TRUTH)
@@ -174,7 +168,7 @@ def test_a_first_image_without_bytes_does_not_stop_the_log(tmp_path):
 def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
     small = scenes.png_bytes(np.zeros((30, 40, 3), dtype=np.uint8))
 
-    def shrink(message: scenes.Message) -> scenes.Message:
+    def shrink(message):
         return replace(message, message=M.compressed(message.stamp_ns, scenes.OPTICAL, "png", small))
 
     source = _open(tmp_path, _changed(scenes.PNG_COLOR, _only(2, shrink)))
@@ -205,7 +199,7 @@ def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
 
 @pytest.mark.parametrize("size", [(40, 30), (160, 120)])
 def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size):
-    def resize(message: scenes.Message) -> scenes.Message:
+    def resize(message):
         i = (message.stamp_ns - scenes.START_NS) // scenes.PERIOD_NS
         depth_mm = cv2.resize(TRUTH[i].depth_mm, size, interpolation=cv2.INTER_NEAREST)
         image = M.image(message.stamp_ns, scenes.OPTICAL, "16UC1", depth_mm)
@@ -219,7 +213,7 @@ def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size
 
 
 def test_depth_without_a_single_return_is_a_frame_and_counted(tmp_path):
-    def blind(message: scenes.Message) -> scenes.Message:
+    def blind(message):
         nothing = np.full((60, 80), np.nan, dtype=np.float32)
         return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", nothing))
 
@@ -268,7 +262,7 @@ def test_a_flipped_byte_costs_the_frames_of_its_chunk_only(tmp_path):
 
 
 def test_a_pose_that_is_none_is_left_out_and_counted(tmp_path):
-    def spoil(message: scenes.Message) -> scenes.Message:
+    def spoil(message):
         pose = M.pose(np.eye(4))
         nan = replace(pose, position=replace(pose.position, x=float("nan")))
         covered = replace(message.message.pose, pose=nan)
@@ -313,7 +307,7 @@ def test_the_odometry_that_carries_the_camera_is_preferred(tmp_path):
 
 
 def test_static_transforms_repeated_on_tf_are_static(tmp_path):
-    def moved(message: scenes.Message) -> scenes.Message:
+    def moved(message):
         return replace(message, topic="/tf")
 
     assert len(list(_open(tmp_path, _changed("/tf_static", moved)).frames())) == len(TRUTH)
@@ -328,10 +322,10 @@ DEPTH_CAMERA = Camera(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.
 COLOR_FROM_DEPTH = from_rotation_translation(np.eye(3), np.array([-0.059, 0.0, 0.001]))
 
 
-def _unregistered() -> list[scenes.Message]:
+def _unregistered():
     """Return a RealSense-like log: depth with a camera, a frame and stamps of its own, raw in millimetres."""
 
-    def images(m: scenes.Messages, frame: scenes.SceneFrame) -> list[scenes.Message]:
+    def images(m, frame):
         stamp_ns = frame.stamp_ns
         rgb = scenes.cast(COLOR_CAMERA, frame.world_from_camera)[0]
         depth = scenes.cast(DEPTH_CAMERA, frame.world_from_camera @ COLOR_FROM_DEPTH)[1]
@@ -387,7 +381,7 @@ def test_a_distorted_image_is_rectified_to_a_pinhole(tmp_path):
     source_px = np.asarray(source_px, dtype=np.float32).reshape(size[1], size[0], 2)
     distorted = cv2.remap(rgb, source_px[..., 0], source_px[..., 1], cv2.INTER_LINEAR)
 
-    def swap(message: scenes.Message) -> scenes.Message:
+    def swap(message):
         data = scenes.png_bytes(np.asarray(distorted)[..., ::-1])
         return replace(message, message=M.compressed(message.stamp_ns, "color_optical", "png", data))
 
@@ -409,7 +403,7 @@ def test_messages_may_be_recorded_a_little_out_of_order(tmp_path):
 
 
 def test_images_without_partners_are_counted(tmp_path):
-    log = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))  # type: ignore[arg-type,return-value]
+    log = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))
     log = [m for m in log if not (m.topic == scenes.PNG_COLOR and m.stamp_ns == TRUTH[3].stamp_ns)]
     source = _open(tmp_path, log)
     assert len(list(source.frames())) == len(TRUTH) - 2
@@ -426,7 +420,7 @@ def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
         strange = writer.register_schema("unitree_go/msg/LowState", "ros2msg", b"not ( a definition")
         channel = writer.register_channel("/lowstate", "cdr", strange)
         writer.add_message(channel, scenes.START_NS, b"\x00\x01\x02", scenes.START_NS)
-        ids: dict[str, int] = {}
+        ids = {}
         for entry in LOG:
             name = entry.message.__msgtype__
             if entry.topic not in ids:
@@ -441,7 +435,7 @@ def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
 
 
 def test_the_camera_of_the_colour_is_whose_depth_is_taken(tmp_path):
-    def elsewhere(message: scenes.Message) -> scenes.Message:
+    def elsewhere(message):
         return replace(message, topic=message.topic.replace("/cam/", "/back/"))
 
     both = LOG + [elsewhere(message) for message in LOG if message.topic.startswith("/cam/")]
@@ -450,7 +444,7 @@ def test_the_camera_of_the_colour_is_whose_depth_is_taken(tmp_path):
 
 
 def test_a_calibration_elsewhere_is_found_by_its_frame(tmp_path):
-    def away(message: scenes.Message) -> scenes.Message:
+    def away(message):
         return replace(message, topic="/calibration")
 
     log = _changed(DEPTH_INFO, lambda message: None, _changed(COLOR_INFO, away))
@@ -460,7 +454,7 @@ def test_a_calibration_elsewhere_is_found_by_its_frame(tmp_path):
 def test_depth_of_half_size_is_scaled_to_the_colour_frame(tmp_path):
     half = scenes.CAMERA.scaled(0.5)
 
-    def shrink(message: scenes.Message) -> scenes.Message:
+    def shrink(message):
         depth = scenes.cast(half, scenes.pose_at(message.stamp_ns))[1].astype(np.float32)
         return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", depth))
 

@@ -1,5 +1,4 @@
 import tracemalloc
-from pathlib import Path
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType
@@ -9,7 +8,7 @@ from tests import player_scenes as scenes
 M = scenes.Messages(ros=2)
 
 
-def _large(path: Path, **settings: object) -> McapLog:
+def _large(path, **settings):
     """Write 8 MB of noise in 40 images."""
     noise = np.random.default_rng(0).integers(0, 255, 200_000, dtype=np.uint8).tobytes()
     images = [

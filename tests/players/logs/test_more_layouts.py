@@ -1,12 +1,10 @@
 """Replica and HOPE folders, compressed ROS 2 bags, pose files."""
 
 import json
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.ports import Source
 from players import open_source
 from players.poses.pose_file import read_pose_file
 from tests import player_scenes as scenes
@@ -16,7 +14,7 @@ M = scenes.Messages(ros=2)
 LOG = scenes.scene_messages(M, TRUTH, scenes.raw_images)
 
 
-def _assert_scene(source: Source) -> None:
+def _assert_scene(source):
     frames = [raw.decode() for raw in source.frames()]
     assert len(frames) == len(TRUTH)
     for frame, true in zip(frames, TRUTH, strict=True):
@@ -25,7 +23,7 @@ def _assert_scene(source: Source) -> None:
         np.testing.assert_allclose(frame.world_from_camera, true.world_from_camera, atol=1e-3)
 
 
-def _replica(folder: Path) -> Path:
+def _replica(folder):
     (folder / "results").mkdir(parents=True)
     camera = scenes.CAMERA
     values = {"w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
@@ -38,7 +36,7 @@ def _replica(folder: Path) -> Path:
     return folder
 
 
-def _hope(folder: Path) -> Path:
+def _hope(folder):
     folder.mkdir(parents=True)
     for i, frame in enumerate(TRUTH):
         camera_from_world = invert(frame.world_from_camera)

@@ -1,4 +1,3 @@
-from pathlib import Path
 import pytest
 import zstandard
 from mcap.writer import Writer
@@ -12,14 +11,12 @@ M = scenes.Messages(ros=2)
 LOG = scenes.scene_messages(M, scenes.make_scene(num_frames=12), scenes.png_images)
 
 
-def _write(
-    path: Path, *, pack=bytes, topic=str, type_name=str, encoding="ros2msg", definition=None, **settings
-) -> Path:
+def _write(path, *, pack=bytes, topic=str, type_name=str, encoding="ros2msg", definition=None, **settings):
     """Write the log with messages, names and definitions changed by functions."""
     with path.open("wb") as stream:
         writer = Writer(stream, **settings)
         writer.start(profile="ros2")
-        channels: dict[str, int] = {}
+        channels = {}
         for entry in LOG:
             name = entry.message.__msgtype__
             if entry.topic not in channels:
@@ -32,7 +29,7 @@ def _write(
     return path
 
 
-def _frames(path: Path) -> list[tuple[object, ...]]:
+def _frames(path):
     frames = [raw.decode() for raw in open_source(path).frames()]
     return [(f.stamp_ns, f.rgb.tobytes(), f.depth_m.tobytes(), f.world_from_camera.tobytes()) for f in frames]
 
@@ -56,7 +53,7 @@ def test_messages_packed_one_by_one_play_as_plain_ones(tmp_path, sound, settings
 def test_a_packed_message_that_is_damaged_is_counted(tmp_path, settings):
     numbers = iter(range(len(LOG)))
 
-    def pack(data: bytes) -> bytes:
+    def pack(data):
         packed = zstandard.compress(data)
         return packed[:-9] if next(numbers) in (9, 10, 11) else packed
 
@@ -65,7 +62,7 @@ def test_a_packed_message_that_is_damaged_is_counted(tmp_path, settings):
     assert (read, sum(log.flaws.lost().values())) == (len(LOG) - 3, 3)
 
 
-def _dds_type(name: str) -> str:
+def _dds_type(name):
     package, _, last = name.split("/")
     return f"{package}::msg::dds_::{last}_"
 
@@ -82,7 +79,7 @@ def test_ros_1_definitions_that_are_left_out_are_its_own(tmp_path, monkeypatch, 
     m = scenes.Messages(ros=1)
     whole = m.store.generate_msgdef
 
-    def cut(name: str, **settings: int) -> tuple[str, str]:
+    def cut(name, **settings):
         text, md5 = whole(name, **settings)
         return "".join(text.split("=" * 80)[:keep]), md5
 

@@ -1,17 +1,17 @@
 from hypothesis import given
 from hypothesis import strategies as st
-from players.logs.timeline import BACKWARDS_NS, FORWARD_NS, Order, Placed, Timeline
+from players.logs.timeline import BACKWARDS_NS, FORWARD_NS, Order, Timeline
 
 S = 1_000_000_000
 
 
-def _placed(stamps_s: list[float]) -> list[Placed]:
+def _placed(stamps_s):
     timeline = Timeline()
     placed = [p for i, s in enumerate(stamps_s) for p in timeline.add(round(s * S), i)]
     return placed + timeline.end()
 
 
-def _orders(stamps_s: list[float]) -> dict[int, Order]:
+def _orders(stamps_s):
     return {p.item: p.order for p in _placed(stamps_s)}
 
 

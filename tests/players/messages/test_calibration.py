@@ -10,7 +10,7 @@ K = np.array([[100.0, 0.0, 80.0], [0.0, 100.0, 60.0], [0.0, 0.0, 1.0]])
 P = np.array([[90.0, 0.0, 81.0, 0.0], [0.0, 91.0, 61.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
 
-def _info(distortion: tuple[float, ...], model: str = "plumb_bob", size: tuple[int, int] = (160, 120)) -> CameraInfo:
+def _info(distortion, model="plumb_bob", size=(160, 120)):
     return CameraInfo(frame="camera", size=size, K=K, P=P, D=np.array(distortion), distortion_model=model)
 
 
@@ -85,7 +85,7 @@ def test_coefficients_that_no_model_takes_are_refused_by_name(model, d):
         lens_of(_info(d, model), topic="/info", image_size=None, is_rectified=False)
 
 
-def _pinhole(info: CameraInfo, image_size: tuple[int, int], *, is_rectified: bool = False) -> tuple[float, ...]:
+def _pinhole(info, image_size, *, is_rectified=False):
     camera = lens_of(info, topic="/info", image_size=image_size, is_rectified=is_rectified).camera
     return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 

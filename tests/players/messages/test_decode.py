@@ -20,15 +20,15 @@ RED[..., 0] = 200
 WAVES = (128 + 100 * np.sin(np.arange(40 * 60 * 3) / 50)).astype(np.uint8).reshape(40, 60, 3)
 
 
-def _png(image: np.ndarray) -> bytes:
+def _png(image):
     return bytes(cv2.imencode(".png", image)[1])
 
 
-def _jpeg(image: np.ndarray) -> bytes:
+def _jpeg(image):
     return bytes(cv2.imencode(".jpg", image)[1])
 
 
-def _message(encoding: str, pixels: np.ndarray, padding: int = 0, is_big: bool = False) -> SimpleNamespace:
+def _message(encoding, pixels, padding=0, is_big=False):
     wire = pixels.astype(pixels.dtype.newbyteorder(">" if is_big else "<"))
     rows = np.pad(wire.view(np.uint8).reshape(len(pixels), -1), ((0, 0), (0, padding)), constant_values=7)
     height, width = pixels.shape[:2]

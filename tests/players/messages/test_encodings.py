@@ -3,9 +3,7 @@
 import base64
 import json
 import struct
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 import cv2
 import numpy as np
 import pytest
@@ -28,14 +26,14 @@ RED = (200, 30, 40)
 DEPTH_MM = np.arange(1, 40 * 60 + 1, dtype=np.uint16).reshape(40, 60) % 4000
 
 
-def _message(encoding: str, rows: np.ndarray, height: int, width: int) -> SimpleNamespace:
+def _message(encoding, rows, height, width):
     data = np.ascontiguousarray(rows).view(np.uint8)
     return SimpleNamespace(
         encoding=encoding, is_bigendian=0, height=height, width=width, step=data.shape[1], data=data.ravel()
     )
 
 
-def _yuv(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
+def _yuv(rgb):
     """Return Y, U, V by the formula of BT.601 in the studio range."""
     r, g, b = rgb
     y = 16 + (65.738 * r + 129.057 * g + 25.064 * b) / 256
@@ -80,15 +78,15 @@ def test_every_encoding_that_is_promised_is_decoded():
         assert color_of_pixels(raw_pixels(_message(encoding, rows, 8, 8), encoding), encoding).shape == (8, 8, 3)
 
 
-def _png(image: np.ndarray) -> bytes:
+def _png(image):
     return bytes(cv2.imencode(".png", image)[1])
 
 
-def encode_rvl(pixels: np.ndarray) -> bytes:
+def encode_rvl(pixels):
     flat = [int(pixel) for pixel in pixels.ravel()]
-    nibbles: list[int] = []
+    nibbles = []
 
-    def put(number: int) -> None:
+    def put(number):
         while True:
             low, number = number & 7, number >> 3
             nibbles.append(low | (8 if number else 0))
@@ -181,7 +179,7 @@ def test_an_image_that_claims_to_be_huge_is_refused_early():
             decode()
 
 
-def _descriptors() -> tuple[bytes, Any]:
+def _descriptors():
     """Return the descriptor set of Foxglove's messages, and the pool that makes them."""
     from google.protobuf import descriptor_pb2, descriptor_pool
 
@@ -189,7 +187,7 @@ def _descriptors() -> tuple[bytes, Any]:
     file = files.file.add(name="foxglove/all.proto", package="foxglove", syntax="proto3")
     kinds = descriptor_pb2.FieldDescriptorProto
 
-    def message(name: str, *fields: tuple[str, int, int, str, bool]) -> None:
+    def message(name, *fields):
         entry = file.message_type.add(name=name)
         for field, number, kind, type_name, repeated in fields:
             label = kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL
@@ -227,7 +225,7 @@ def _descriptors() -> tuple[bytes, Any]:
     return files.SerializeToString(), pool
 
 
-def _foxglove_log(path: Path, frames: list[scenes.SceneFrame], encoding: str) -> Path:
+def _foxglove_log(path, frames, encoding):
     """Write the scene as Foxglove's messages: the pose is the camera's own."""
     from google.protobuf import json_format, message_factory
     from mcap.writer import Writer
@@ -237,9 +235,9 @@ def _foxglove_log(path: Path, frames: list[scenes.SceneFrame], encoding: str) ->
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        channels: dict[str, int] = {}
+        channels = {}
 
-        def put(topic: str, name: str, stamp_ns: int, fields: dict[str, Any]) -> None:
+        def put(topic, name, stamp_ns, fields):
             if topic not in channels:
                 kind = "protobuf" if encoding == "protobuf" else "jsonschema"
                 schema = writer.register_schema(f"foxglove.{name}", kind, descriptors if kind == "protobuf" else b"{}")

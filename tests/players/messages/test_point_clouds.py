@@ -1,5 +1,4 @@
 from types import SimpleNamespace
-from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,9 +15,7 @@ STAMP_NS = 1_700_000_000_250_000_000
 _NUMBERS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
-def cloud(
-    columns: dict[str, tuple[str, Any]], *, rows: int = 1, gap: int = 0, row_gap: int = 0, big: bool = False
-) -> SimpleNamespace:
+def cloud(columns, *, rows=1, gap=0, row_gap=0, big=False):
     """A message of named columns (type, values), each `gap` bytes behind the one before, in `rows` rows."""
     fields, at = [], gap
     for name, (kind, _) in columns.items():
@@ -40,7 +37,7 @@ def cloud(
     )  # fmt: skip
 
 
-def xyz(kind: str = "f4") -> dict[str, tuple[str, Any]]:
+def xyz(kind="f4"):
     return {axis: (kind, POINTS[:, i]) for i, axis in enumerate("xyz")}
 
 

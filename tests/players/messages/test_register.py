@@ -14,7 +14,7 @@ COLOR_FROM_DEPTH = from_rotation_translation(
 )
 
 
-def _registered(depth_camera: Camera, color_camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _registered(depth_camera, color_camera):
     """Return the registered depth, and the depth that the colour camera would have measured (infinite = nothing)."""
     world_from_depth = scenes.pose_at(scenes.START_NS)
     depth_m = scenes.cast(depth_camera, world_from_depth)[1].astype(np.float32)

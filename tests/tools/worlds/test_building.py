@@ -1,4 +1,3 @@
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import ConfigError
@@ -7,7 +6,7 @@ from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.shots import Filming, shots_of
 from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
-from tools.worlds.building.building import Building, BuildingSize, building
+from tools.worlds.building.building import BuildingSize, building
 from tools.worlds.building.plan import STOREY_M
 from tools.worlds.building.route import building_walk, route_through
 from tools.worlds.recording_config import RecordingConfig
@@ -18,12 +17,12 @@ SHORT = RecordingConfig(scene="building", seed=3, building=FLAT, seconds=1.0, ra
 
 
 @pytest.fixture(scope="module")
-def house() -> Building:
+def house():
     return building(3, SIZE)
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("one")
     make_recording(SHORT, folder, "house")
     return folder

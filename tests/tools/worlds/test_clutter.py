@@ -12,13 +12,13 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.ray_caster import ray_caster
 from hickory_stream.worlds.clearance import clearance_among
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from hickory_stream.worlds.object_models import Part, model_triangles
+from hickory_stream.worlds.object_models import model_triangles
 from hickory_stream.worlds.scene import part_boxes
 from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
 from tools.worlds.cache import cached_recording, recording_name
 from tools.worlds.clutter.contents import CONTENTS
 from tools.worlds.clutter.floorplan import OUTLINES
-from tools.worlds.clutter.frames import ColorCameraConfig, Frame, frames_of
+from tools.worlds.clutter.frames import ColorCameraConfig, frames_of
 from tools.worlds.clutter.groups import GROUPS
 from tools.worlds.clutter.heaps import heap
 from tools.worlds.clutter.kit import FAMILIES, SHAPES, TABLE, Recipes, any_material
@@ -32,7 +32,7 @@ from tools.worlds.recording_config import RecordingConfig
 SHAPE_FIELDS = ("small", "supports", "seats", "bodies", "units")
 
 
-def names_of(recipes: Recipes) -> list[str]:
+def names_of(recipes):
     fields = [field.name for field in dataclasses.fields(recipes) if field.name != "flat"]
     return [name for field in fields for name in getattr(recipes, field)]
 
@@ -55,7 +55,7 @@ def test_every_recipe_is_listed_and_every_name_has_one():
     assert told["outlines"] == set(OUTLINES)
 
 
-def as_mesh(part: Part) -> Mesh:
+def as_mesh(part):
     count = len(part.vertices)
     return Mesh(
         vertices=part.vertices.astype(np.float32),
@@ -79,7 +79,7 @@ def test_every_shape_is_closed_solids_on_its_base(name):
 
 
 @pytest.fixture(scope="module")
-def frames() -> list[Frame]:
+def frames():
     return list(frames_of(3, "training", 3, width=96, height=72))
 
 

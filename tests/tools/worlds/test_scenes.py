@@ -5,7 +5,7 @@ from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.mesh import Mesh, is_closed
 from hickory_stream.geometry.rigid import is_rigid, rotation_angle_rad
 from hickory_stream.worlds.clearance import clearance_of
-from hickory_stream.worlds.scene import World, part_boxes, shared_volume_m3
+from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.worlds import big_things, table_things
@@ -30,12 +30,12 @@ KINDS = [
 
 
 @pytest.fixture(scope="module")
-def apartments() -> list[World]:
+def apartments():
     return [apartment(seed) for seed in SEEDS]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
-def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind):  # type: ignore[no-untyped-def]
+def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind):
     model = kind(np.random.default_rng(3))
     for part in model.parts:
         count = len(part.vertices)
@@ -83,7 +83,7 @@ def test_no_two_objects_cut_into_one_another(apartments):
 
 
 def test_equal_seeds_make_equal_apartments_and_others_differ():
-    def told(world: World) -> list[tuple[str, list[float]]]:
+    def told(world):
         return [(item.model.kind, item.world_from_object.ravel().round(9).tolist()) for item in world.objects]
 
     assert told(apartment(5)) == told(apartment(5))
@@ -118,7 +118,7 @@ def test_an_orbit_looks_down_at_the_table_from_every_side():
     assert abs(angles[-1] - angles[0]) > 2 * np.pi
 
 
-def straight_walk(length_m: float) -> Trajectory:
+def straight_walk(length_m):
     times = np.linspace(0, 60, 1200)
     poses = np.tile(np.eye(4), (len(times), 1, 1))
     poses[:, 0, 3] = length_m * times / times[-1]
