@@ -64,7 +64,6 @@ def worst_place_m(found):
 
 def test_the_loop_is_found_and_the_last_submap_is_in_place(closed):
     graph = closed.snapshots[-1].graph
-    assert graph is not None
     accepted = [(edge.earlier, edge.later) for edge in graph.loops if edge.status == "accepted"]
     assert accepted
     assert all(earlier + 2 <= later for earlier, later in accepted)

@@ -53,7 +53,6 @@ def test_the_records_of_a_step_are_its_maps_and_written_once(tmp_path):
         for i, snapshot in enumerate(snapshots):
             assert written(journal, i) == expected(snapshot)
         before, after = journal.known(3), journal.known(4)
-        assert before is not None
         assert len(before.submaps.keys() & after.submaps.keys()) > 0
         assert before.submaps == after.submaps
         assert 0 < len(after.objects.items() - before.objects.items()) <= 2

@@ -44,7 +44,6 @@ def test_a_saved_map_opens_as_the_map_that_was_saved(tmp_path):
     assert np.array_equal(space.free, expected.free)
     assert np.array_equal(space.structure, expected.structure)
     shape = saved.snapshot.objects[0].shape
-    assert shape is not None
     assert len(saved.mesh(shape).faces) == len(read_glb(saved.mesh_path(shape)).faces) == 48
 
 

@@ -11,7 +11,6 @@ from hickory_stream.geometry.superquadric_surface import display_mesh, surface_p
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.navigation.clearance import Answer, ClearanceScene
 from hickory_stream.navigation.sweep_kernels import NEAR_M
-from hickory_stream.ports import BuiltShape
 from hickory_stream.records import ObservedSpace
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from tests.navigation.rooms import tracked
@@ -225,7 +224,6 @@ def test_behind_a_front_alone_is_unknown_not_occupied():
     )
     config = ShapeConfig()
     built = build_shape(inputs, make_reconstructor("fused", config), config)
-    assert isinstance(built, BuiltShape)
     scene = ClearanceScene()
     scene.put(1, built.inflated)
     front, behind = np.array([0.05, -0.3, 0.5]), np.array([0.05, 0.1, 0.5])

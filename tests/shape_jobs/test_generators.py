@@ -22,7 +22,7 @@ from hickory_stream.inspection.inspect import summarize
 from hickory_stream.map_folder.history.recorded import recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, make_reconstructor
 from hickory_stream.testing import InstanceSegmenter
 from tests.engine.run_fixtures import map_scene, scene_request
@@ -69,7 +69,6 @@ def config(toml, i_accept="I do research"):
 def test_a_generated_shape_replaces_the_embedded_one(inputs):
     reconstructor = make_reconstructor("external", ShapeConfig(), box_generator())
     made = reconstructor.reconstruct(inputs)
-    assert isinstance(made, Reconstruction)
     assert made.made_by == "box-generator"
     assert "accepted" in made.verdict
     assert "placed at " in made.verdict
@@ -94,14 +93,12 @@ def test_a_hostile_answer_is_no_mesh(inputs, tmp_path, misdeed, said):
         found = read_answer(tmp_path, job, 1)
     except WorkerError as error:
         found = NoShape(reason=str(error))
-    assert isinstance(found, NoShape)
     assert re.search(said, found.reason), found.reason
 
 
 def test_one_that_crashes_is_started_anew_and_then_given_up(inputs):
     generator = ExternalGenerator(box_spec("crash"))
     found = generator.generate(inputs)
-    assert isinstance(found, NoShape)
     assert "ended with status 3" in found.reason
     assert not found.hit_limit
 
@@ -110,7 +107,6 @@ def test_one_that_crashes_is_started_anew_and_then_given_up(inputs):
 def test_a_hanging_or_growing_generator_is_ended(inputs, misdeed):
     generator = ExternalGenerator(box_spec(misdeed, time_s=1.0, memory_mb=300.0))
     found = generator.generate(inputs)
-    assert isinstance(found, NoShape)
     assert found.hit_limit
     assert not [child for child in psutil.Process().children() if misdeed in child.cmdline()]
 
@@ -125,8 +121,6 @@ def test_the_embedded_shape_stays_where_the_generated_is_refused(inputs):
 
     made = make_reconstructor("external", ShapeConfig(), Fails()).reconstruct(inputs)
     own = make_reconstructor("fused", ShapeConfig()).reconstruct(inputs)
-    assert isinstance(made, Reconstruction)
-    assert isinstance(own, Reconstruction)
     assert made.mesh.vertices.tobytes() == own.mesh.vertices.tobytes()
     assert (made.made_by, made.verdict, made.hit_limit) == ("fused", "fails: no memory", True)
 

@@ -7,7 +7,7 @@ from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.mesh import sha256_of
 from hickory_stream.map_folder.views import crop_files, read_crop
-from hickory_stream.ports import BuiltShape, NoShape
+from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape
 from hickory_stream.testing import BoxReconstructor
 from tests.engine.run_fixtures import scene_config, scene_request
@@ -32,9 +32,7 @@ def written(tmp_path, request, config):
 
 def built(folder):
     inputs, config = read_job(folder)
-    answer = build_shape(inputs, BoxReconstructor(), config)
-    assert isinstance(answer, BuiltShape)
-    return answer
+    return build_shape(inputs, BoxReconstructor(), config)
 
 
 def test_a_worker_reads_what_was_asked_for(tmp_path, request_3, config):

@@ -87,7 +87,6 @@ def test_the_pose_that_is_contradicted_less_stays(cost):
     expected = apply(scene_pose(3) @ TOLD, placed - middle)
     assert embedded.guesses[0] is None
     assert apply(embedded.guesses[1], CORNERS.astype(np.float64)) == pytest.approx(expected, abs=1e-6)
-    assert isinstance(found, MeshPlacement)
     assert found.cost == min(cost, 1.0)
 
 
@@ -97,7 +96,6 @@ def test_the_pose_that_is_contradicted_less_stays(cost):
 def test_an_answer_that_is_not_a_rigid_pose_changes_nothing(said):
     program, embedded = Program(said), Embedded(0.1)
     found = ExternalRefiner(program, embedded).place(MESH, given())
-    assert isinstance(found, MeshPlacement)
     assert (found.cost, len(embedded.guesses), program.is_closed) == (1.0, 1, True)
 
 
@@ -109,7 +107,6 @@ def test_a_program_that_crashes_leaves_the_embedded_placement(monkeypatch):
 
     monkeypatch.setattr(program, "ask", crash)
     found = ExternalRefiner(program, Embedded(0.1)).place(MESH, given())
-    assert isinstance(found, MeshPlacement)
     assert found.cost == 1.0
 
 
@@ -119,7 +116,6 @@ def test_a_generators_refiner_counts_with_licence_and_content(tmp_path):
     refiner.write_text('name = "r"\ncommand = ["python"]\nacceptance = "two"\n')
     spec = read_spec(generator)
     before, found = fingerprint(spec), refiner_of(spec)
-    assert found is not None
     for each in (spec, found):
         check_licence(each, "one; two")
     with pytest.raises(ConfigError, match=r'run\.accept_licence = "two"'):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hickory_stream.engine.shape_jobs.job_folder import read_job, write_result
 from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
-from hickory_stream.events import ShapeFailed, ShapeReady
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape
@@ -118,7 +117,6 @@ def test_a_late_answer_is_waited_for(desk):
         assert not waiting.done()
         desk.workers.answer(1)
         event = await waiting
-        assert isinstance(event, ShapeFailed)
         assert event.reason == "no shape 1"
 
     run(use)
@@ -143,7 +141,6 @@ def test_a_shape_that_was_built_comes_as_ready_with_its_timings(desk):
         write_result(folder, build_shape(inputs, BoxReconstructor(), config), "box")
         desk.workers.answer(1)
         event = await desk.queue.next_due(0)
-        assert isinstance(event, ShapeReady)
         assert (event.object_id, event.shape.reconstructor) == (3, "box")
         assert (desk.folder.shapes / event.shape.mesh_name).exists()
 
@@ -159,7 +156,6 @@ def test_a_job_that_was_given_up_comes_as_failed_with_the_reason(desk):
         return await desk.queue.next_due(0)
 
     event = run(use)
-    assert isinstance(event, ShapeFailed)
     assert event.reason == "no answer within 60 s"
     assert desk.queue.counts == {"requested": 1, "failed": 1}
 
@@ -173,7 +169,6 @@ def test_an_answer_that_cannot_be_read_comes_as_failed(desk):
         return await desk.queue.next_due(0)
 
     event = run(use)
-    assert isinstance(event, ShapeFailed)
     assert "no readable answer" in event.reason
 
 

@@ -107,7 +107,6 @@ def test_a_job_that_always_times_out_fails_with_the_reason(tmp_path):
         return await workers.submit(job(tmp_path, "a")), workers.num_limits
 
     reason, num_limits = use_workers(use, timeout_s=1e-9)
-    assert reason is not None
     assert "no answer within" in reason
     assert num_limits == 1
     assert shape_workers() == []

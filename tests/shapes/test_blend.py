@@ -28,7 +28,6 @@ def inputs():
 def joined(made, inputs):
     mesh = plain_mesh(np.asarray(made.vertices), np.asarray(made.faces))
     answer = blended(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), inputs, VOLUME)
-    assert isinstance(answer, Reconstruction)
     return answer, apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
 
 

@@ -28,9 +28,7 @@ def seen():
     """A box that is seen from three sides of an arc."""
     whole = trimesh.creation.box((0.5, 0.3, 0.4)).apply_translation((0, 0, 0.2)).subdivide().subdivide().subdivide()
     mesh = plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
-    found = sighted(mesh, np.random.default_rng(3), 3)
-    assert found is not None
-    return found
+    return sighted(mesh, np.random.default_rng(3), 3)
 
 
 def placed(seen, *, flattened):
@@ -45,7 +43,6 @@ def placed(seen, *, flattened):
 
 def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen):
     found = newly_seen(seen.made_from, 1)
-    assert found is not None
     first, new, size_m = found
     assert len(new) > 100
     nearest = np.linalg.norm(new[:, None] - first[None, ::5], axis=2).min(axis=1)
