@@ -175,7 +175,6 @@ class Playing:
 
     def events(self):
         """Yield the progress as it comes."""
-        assert self._process.stderr is not None
         for line in self._process.stderr:
             yield json.loads(line)
 

@@ -86,12 +86,31 @@ def map_scene(
                 snapshots.append(snapshot)
                 if on_snapshot is not None:
                     await on_snapshot(mapper, snapshot)
-            assert mapper.folder is not None
             made.append(SceneRun(snapshots=snapshots, folder=mapper.folder))
 
     # Not as the task's result: asyncio prints that when it puts signals back, which takes a fifth of the time.
     asyncio.run(run())
     return made[0]
+
+
+def stop_at(keyframes):
+    """Return an `on_progress` that stops a run after so many keyframes."""
+    return lambda mapper, progress: mapper.stop() if progress.keyframes == keyframes else None
+
+
+def resume_scene(path, source, instances=None):
+    """Go on with an interrupted run of the scene, and return the digest of the map."""
+
+    async def run():
+        segmenter = InstanceSegmenter(source.instances if instances is None else instances)
+        async with Mapper.resuming(
+            path, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
+            async for _ in mapper.run(source):
+                pass
+            return mapper.folder.manifest.digest
+
+    return asyncio.run(run())
 
 
 def shape_workers():

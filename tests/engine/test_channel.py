@@ -77,18 +77,6 @@ def test_a_full_channel_makes_the_sender_wait():
     asyncio.run(run())
 
 
-def test_closing_wakes_a_waiting_receiver():
-    async def run():
-        channel = Channel(1)
-        waiting = asyncio.create_task(channel.receive())
-        await asyncio.sleep(0)
-        await channel.close()
-        with pytest.raises(ChannelClosed):
-            await waiting
-
-    asyncio.run(run())
-
-
 def test_closing_wakes_the_sender_and_items_can_still_be_taken():
     async def run():
         channel = Channel(1)

@@ -1,4 +1,3 @@
-import asyncio
 import json
 from dataclasses import replace
 import numpy as np
@@ -10,9 +9,8 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import RememberingSink
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, resume_scene
 
 MOVE = from_rotation_translation(yaw_rotation(0.3), np.array([2.0, 1.0, 0.0]))
 SLOW = 2.0
@@ -105,16 +103,8 @@ def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path):
 
     map_scene(tmp_path, *NO_SHAPES, source=JumpingSource(NUM_FRAMES), on_snapshot=stop, rate=SLOW)
 
-    async def resume():
-        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(
-            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            *_, last = [snapshot async for snapshot in mapper.run(JumpingSource(NUM_FRAMES))]
-            return last
-
     whole = corrected_run(tmp_path, {3: {0: MOVE}}, name="whole")
-    assert map_digest(asyncio.run(resume())) == whole.digest
+    assert resume_scene(tmp_path / "map", JumpingSource(NUM_FRAMES)) == whole.digest
     assert not open_map(tmp_path / "map").manifest.is_reproducible
 
 

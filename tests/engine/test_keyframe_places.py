@@ -1,10 +1,8 @@
-import asyncio
 from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.box_scene import scene_pose
 from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
 from hickory_stream.geometry.rigid import compose, invert, no_directions
 from hickory_stream.journal.reader import Journal
@@ -13,10 +11,9 @@ from hickory_stream.map_folder.history.registration_history import registration_
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
+from hickory_stream.testing import InstanceSegmenter
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
-from tests.engine.run_fixtures import NO_SHAPES, map_scene
-from tests.in_process_workers import InProcessWorkers
+from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene, stop_at
 
 CONFIG = (*NO_SHAPES, "sensor.noise_per_m=0.0005")
 
@@ -133,22 +130,9 @@ def test_the_journal_of_a_corrected_run_gives_the_same_map(drifted):
 
 @pytest.mark.parametrize("keyframes", [2, 9])
 def test_a_stopped_corrected_run_resumes_to_the_same_map(drifted, tmp_path, keyframes):
-    def stop(mapper, progress):
-        if progress.keyframes == keyframes:
-            mapper.stop()
+    mapped(tmp_path, Drifting(room()), on_progress=stop_at(keyframes))
 
-    mapped(tmp_path, Drifting(room()), on_progress=stop)
-
-    async def resume():
-        segmenter = InstanceSegmenter(room().instances)
-        async with Mapper.resuming(
-            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            async for _ in mapper.run(Drifting(room())):
-                pass
-            return mapper.folder.manifest.digest
-
-    assert asyncio.run(resume()) == drifted[0].digest
+    assert resume_scene(tmp_path / "map", Drifting(room()), room().instances) == drifted[0].digest
 
 
 def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):

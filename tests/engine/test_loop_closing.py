@@ -1,16 +1,13 @@
-import asyncio
 from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SCENE_CAMERA, SceneSource
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NO_SHAPES, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import InstanceSegmenter
+from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene
 
 NUM_FRAMES = 33  # once around the boxes, and a quarter, in steps of 14 degrees
 CAMERA = SCENE_CAMERA.scaled(2 / 3)
@@ -90,18 +87,7 @@ def test_a_run_stopped_during_a_loop_search_gives_the_same_map(closed, tmp_path)
     segmenter = InstanceSegmenter(source.instances)
     map_scene(tmp_path, *NO_SHAPES, *SHORT, source=source, segmenter=segmenter, on_snapshot=stop, rate=20.0)
 
-    async def resume():
-        again = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
-        async with Mapper.resuming(
-            tmp_path / "map",
-            segmenter=InstanceSegmenter(again.instances),
-            extractor=MeanColorExtractor(),
-            workers=InProcessWorkers(),
-        ) as mapper:
-            *_, last = [snapshot async for snapshot in mapper.run(again)]
-            return last
-
-    assert map_digest(asyncio.run(resume())) == closed.digest
+    assert resume_scene(tmp_path / "map", DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)) == closed.digest
 
 
 def test_without_loops_the_map_keeps_drift_and_duplicates(tmp_path, closed):

@@ -6,7 +6,6 @@ from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
-from hickory_stream.testing import BreakingSource
 from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
 
@@ -23,7 +22,6 @@ def test_snapshots_come_in_order_and_the_last_is_the_saved_map(tmp_path):
 def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path):
     async def linger(mapper, snapshot):
         if snapshot.revision == 1:
-            assert mapper.folder is not None
             while not mapper.folder.manifest.finished_cleanly:  # noqa: ASYNC110 -- the end of a run is no event
                 await asyncio.sleep(0.01)
 
@@ -104,12 +102,6 @@ def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
         map_scene(tmp_path, on_snapshot=leave, child_workers=True)
     assert not open_map(tmp_path / "map").manifest.finished_cleanly
     assert shape_workers() == []
-
-
-def test_an_error_of_the_source_leaves_the_loop_over_snapshots(tmp_path):
-    source = BreakingSource(SceneSource(NUM_FRAMES), 3, RecordingError("torn"))
-    with pytest.raises(RecordingError, match="torn"):
-        map_scene(tmp_path, *NO_SHAPES, source=source)
 
 
 def test_a_source_without_frames_is_refused_and_leaves_no_map(tmp_path):

@@ -7,7 +7,7 @@ from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.errors import MapFolderError
 from hickory_stream.records import FrameReport
-from hickory_stream.testing import FailingSink, RememberingSink, SlowSink
+from hickory_stream.testing import FailingSink, RememberingSink
 
 NUM_REPORTS = 60
 
@@ -34,12 +34,6 @@ def test_reports_come_in_order_and_then_the_sink_is_closed(is_essential):
     assert [shown.index for shown in sink.reports] == list(range(NUM_REPORTS))
     assert sink.is_closed
     assert thread.backlog == 0
-
-
-def test_a_slow_sink_loses_no_report():
-    remembered = RememberingSink()
-    asyncio.run(show_all(SlowSink(remembered, 0.002), is_essential=False))
-    assert [shown.index for shown in remembered.reports] == list(range(NUM_REPORTS))
 
 
 def test_a_failing_optional_sink_is_dropped_with_one_warning(caplog):

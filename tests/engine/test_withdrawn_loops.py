@@ -3,20 +3,17 @@
 The search is stood in for by one that gives a wrong loop between two places that look alike, and true ones later.
 """
 
-import asyncio
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SCENE_CAMERA, SceneBox, SceneSource
 from hickory_stream.engine import loop_closing
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Loop
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NO_SHAPES, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import InstanceSegmenter
+from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene
 
 NUM_FRAMES, APART_M = 20, 0.6
 # No face lies on the border of two cells, where the rounding of points would choose between them.
@@ -112,12 +109,4 @@ def test_a_run_stopped_while_believing_it_gives_the_same_map(whole, tmp_path):
         rate=20.0,
     )  # fmt: skip
 
-    async def resume():
-        segmenter = InstanceSegmenter(scene.instances)
-        async with Mapper.resuming(
-            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            *_, last = [snapshot async for snapshot in mapper.run(source())]
-            return last
-
-    assert map_digest(asyncio.run(resume())) == whole.digest
+    assert resume_scene(tmp_path / "map", source()) == whole.digest

@@ -94,17 +94,6 @@ def test_an_array_to_compress_later_stays_until_it_was_read():
     assert reads == [1, 1]
 
 
-def test_a_read_array_stays_until_it_is_compressed_again():
-    record = space()
-    compress(record, "free", "structure")
-    first = record.free
-    assert np.array_equal(first, FREE)
-    assert record.free is first
-    compress(record, "free", "structure")
-    assert record.free is not first
-    assert np.array_equal(record.free, FREE)
-
-
 def test_arrays_that_are_read_later_are_read_once_and_stay():
     record, num_read = space(), []
 

@@ -33,11 +33,8 @@ def test_a_box_has_its_volume_and_its_area_and_is_closed():
     assert is_closed(BOX)
 
 
-def test_without_one_face_it_is_open():
+def test_a_mesh_with_a_gap_or_a_turned_face_is_not_closed():
     assert not is_closed(Mesh(vertices=BOX.vertices, faces=BOX.faces[1:], colors=BOX.colors, is_seen=BOX.is_seen))
-
-
-def test_a_face_that_looks_the_wrong_way_is_no_closed_surface():
     faces = BOX.faces.copy()
     faces[0] = faces[0, ::-1]
     assert not is_closed(Mesh(vertices=BOX.vertices, faces=faces, colors=BOX.colors, is_seen=BOX.is_seen))

@@ -1,7 +1,6 @@
 """The file of a journal is whole MCAP, whoever began it, and is gone on with where it ends."""
 
 import pytest
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from hickory_stream.journal.format import JOURNAL, MAGIC
@@ -29,7 +28,6 @@ def topics_of(folder):
     with (folder / JOURNAL).open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
-        assert summary.statistics is not None
         by_index = [channel.topic for _, channel, _ in reader.iter_messages(log_time_order=False)]
         counts = summary.statistics.channel_message_counts
         assert {summary.channels[i].topic: n for i, n in counts.items()} == {
@@ -124,12 +122,6 @@ def test_an_empty_journal_is_whole_mcap_too(tmp_path):
     go_on(tmp_path)
     assert read_numbers(tmp_path) == [1]
     assert topics_of(tmp_path).count("step") == 1
-
-
-def test_a_file_without_its_end_is_no_whole_mcap(tmp_path):
-    write(tmp_path, closes=False)
-    with (tmp_path / JOURNAL).open("rb") as file, pytest.raises(McapError):
-        make_reader(file, validate_crcs=True).get_summary()
 
 
 @pytest.mark.parametrize("records", [b"\x05", b"\x05" + bytes(8), b"\x05" + bytes([40, *[0] * 7]) + bytes(10)])

@@ -161,7 +161,6 @@ def test_every_number_of_a_map_survives_writing_and_reading(place, half, points,
     pose = np.eye(4)
     pose[:3, 3] = place
     first = SNAPSHOT.objects[0]
-    assert first.shape is not None
     quadrics = Superquadrics(exponents=[exponents], semi_axes_m=[half], world_from_local=pose[None])
     tracked = replace(
         first,
@@ -182,7 +181,6 @@ def test_every_number_of_a_map_survives_writing_and_reading(place, half, points,
 
 def test_a_shape_without_primitives_survives():
     first = SNAPSHOT.objects[0]
-    assert first.shape is not None
     none = Superquadrics(exponents=np.empty((0, 2)), semi_axes_m=np.empty((0, 3)), world_from_local=np.empty((0, 4, 4)))
     snapshot = with_first(
         replace(first, shape=replace(first.shape, fitted=none, inflated=none, seen_share=np.empty(0)))

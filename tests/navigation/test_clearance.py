@@ -183,7 +183,6 @@ def test_generated_surface_is_a_hit_unless_the_caller_decides():
 def test_a_box_for_leftovers_counts_as_seen():
     left_out = joined([one((0.5, 0.5, 0.5)), one((0.2, 0.2, 0.2), (2.0, 0, 0))])
     item = tracked(1, left_out)
-    assert item.shape is not None
     generated = replace(item.shape, seen_share=np.array([0.1]))
     points = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     scene = ClearanceScene.of([replace(item, shape=generated)])

@@ -149,7 +149,6 @@ def test_what_is_no_log_is_unusable_and_says_why(tmp_path, content):
     path.write_bytes(content)
     found = _examined(path)
     assert found.status == UNUSABLE
-    assert found.refusal is not None
     assert "a.mcap" in found.refusal
 
 

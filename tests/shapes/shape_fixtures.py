@@ -128,26 +128,6 @@ def inside(shape, points):
     return scene.compute_occupancy(o3d.core.Tensor(np.ascontiguousarray(points, np.float32)), nsamples=3).numpy() > 0.5
 
 
-def shaded(meshes, world_from_camera, camera):
-    """Return an (H, W, 3) picture of (vertices, faces, face colours), lit from the camera."""
-    scene = ray_scene([trimesh.Trimesh(v, f, process=False) for v, f, _ in meshes])
-    o3d = import_open3d()
-    pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
-    directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    origins = np.broadcast_to(world_from_camera[:3, 3].astype(np.float32), directions.shape)
-    answer = scene.cast_rays(o3d.core.Tensor(np.ascontiguousarray(np.concatenate([origins, directions], axis=-1))))
-    normals, ids = answer["primitive_normals"].numpy(), answer["geometry_ids"].numpy()
-    faces = answer["primitive_ids"].numpy()
-    facing = -(normals * directions).sum(axis=-1)
-    picture = np.full((*ids.shape, 3), 255.0)
-    for i, (_, _, face_colors) in enumerate(meshes):
-        here = ids == i
-        light = np.where(facing[here] > 0, 0.35 + 0.65 * facing[here], 0.1)
-        picture[here] = face_colors[faces[here]] * light[:, None]
-    return picture.clip(0, 255).astype(np.uint8)
-
-
 def tangent_distance(row, point, depth):
     """Return the distance of one point to a tangent plane of a primitive (`tangent_planes`), in plain Python."""
     e1, e2, log_a, log_b, log_c = row[:5].tolist()

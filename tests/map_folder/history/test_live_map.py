@@ -26,7 +26,6 @@ def test_a_plan_in_a_growing_map_avoids_what_was_hardly_seen(tmp_path, capsys):
     sure = []
 
     async def asked(mapper, snapshot):
-        assert mapper.folder is not None
         if not answers and len(snapshot.objects):
             sure.append(len(obstacles_of(snapshot)))
             answers.append(await asyncio.to_thread(plan, mapper.folder.path, snapshot))

@@ -1,9 +1,8 @@
-import asyncio
 import json
 import shutil
 import pytest
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.mapper import Mapper, MapperConfig
+from hickory_stream.engine.mapper import MapperConfig
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
@@ -12,27 +11,17 @@ from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.history.resume import reopen
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
-from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NUM_FRAMES, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import BreakingSource
+from tests.engine.run_fixtures import NUM_FRAMES, map_scene, resume_scene, stop_at
+
+
+def resume(path, source=None):
+    return resume_scene(path, source or SceneSource(NUM_FRAMES))
 
 
 @pytest.fixture
 def undisturbed(undisturbed_run):
     return undisturbed_run
-
-
-def resume(path, source=None):
-    async def run():
-        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(
-            path, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            async for _ in mapper.run(source or SceneSource(NUM_FRAMES)):
-                pass
-            return mapper.folder.manifest.digest
-
-    return asyncio.run(run())
 
 
 def test_the_journal_alone_gives_the_same_map(undisturbed):
@@ -44,7 +33,6 @@ def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed):
 
     with (undisturbed.folder.path / JOURNAL).open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
-    assert summary.statistics is not None
     topics = {channel.topic: number for number, channel in summary.channels.items()}
     counts = summary.statistics.channel_message_counts
     assert counts[topics["event/FrameObserved"]] == NUM_FRAMES
@@ -54,12 +42,8 @@ def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed):
 
 @pytest.mark.parametrize("keyframes", [1, 4, 7])
 def test_a_run_that_was_stopped_goes_on_to_the_same_map(undisturbed, tmp_path, keyframes):
-    def stop(mapper, progress):
-        if progress.keyframes == keyframes:
-            mapper.stop()
-
     # With patience for what runs: its shapes come ahead of their time, and must not stay.
-    stopped = map_scene(tmp_path, "run.grace_s=20.0", on_progress=stop)
+    stopped = map_scene(tmp_path, "run.grace_s=20.0", on_progress=stop_at(keyframes))
     assert not stopped.folder.manifest.finished_cleanly
     assert resume(tmp_path / "map") == undisturbed.digest
     saved = open_map(tmp_path / "map")
@@ -94,12 +78,7 @@ def test_a_cut_journal_resumes_at_its_last_whole_step(undisturbed, tmp_path, sha
 def test_a_finished_map_a_live_map_and_another_log_are_refused(undisturbed, tmp_path):
     with pytest.raises(MapFolderError, match="is finished: there is nothing to resume"):
         resume(undisturbed.folder.path)
-
-    def stop(mapper, progress):
-        if progress.keyframes == 2:
-            mapper.stop()
-
-    map_scene(tmp_path, on_progress=stop)
+    map_scene(tmp_path, on_progress=stop_at(2))
     with pytest.raises(RecordingError, match="is not the log that"):
         resume(tmp_path / "map", SceneSource(NUM_FRAMES + 1))
     manifest = json.loads((tmp_path / "map/manifest.json").read_text())

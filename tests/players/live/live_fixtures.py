@@ -58,7 +58,6 @@ class ScriptedRoute:
         self.send(self.at_start)
 
     def send(self, packets):
-        assert self.inbox is not None
         for packet in packets:
             self.inbox.announce(packet.topic)
             self.inbox.put(packet.topic.name, packet.data)

@@ -121,7 +121,6 @@ def test_depth_that_is_none_makes_a_log_unusable(tmp_path, make, told):
     log = _log(tmp_path, lambda frame: [("/cam/aligned_depth/image", make(frame)), ("/cam/color/image", _color(frame))])
     found = examine([log], SourceOptions())
     assert found.status == UNUSABLE
-    assert found.refusal is not None
     assert re.search(told, found.refusal), found.refusal
 
 
