@@ -283,18 +283,6 @@ def test_a_second_signal_cancels_at_once_and_leaves_no_child(short_log, coarse_c
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 
 
-def test_a_killed_run_leaves_a_map_that_opens_and_no_children(short_log, coarse_config, tmp_path):
-    playing = Playing(short_log, coarse_config, tmp_path / "map", *EAGER, "--set", "disk.every_keyframes=1")
-    children = playing.wait_for_children()
-    playing.me.kill()
-    assert playing.end().status == -signal.SIGKILL
-    saved = open_map(tmp_path / "map")
-    assert saved.snapshot.objects
-    assert not saved.manifest.finished_cleanly
-    _, alive = psutil.wait_procs(children, timeout=60)
-    assert alive == []
-
-
 def test_a_full_disk_stops_with_status_2_and_keeps_the_map(short_log, coarse_config, tmp_path):
     if not hasattr(psutil, "RLIMIT_FSIZE"):
         pytest.skip("the limit on file sizes of another process can be set on Linux only")
@@ -457,10 +445,6 @@ def test_config_with_json_prints_json():
     dumped = look("config", "dump", "--set", "mapper.run.workers=7", "--json").json()
     assert dumped["mapper"]["run"]["workers"] == 7
     assert dumped["disk"] == asdict(Settings().disk)
-
-
-def test_a_check_with_json_says_ok(coarse_config):
-    assert look("config", "check", coarse_config, "--json").json()["ok"] is True
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("play", "--help"), ("--version",)])

@@ -1,5 +1,6 @@
 """Export of maps: formats by their endings, closed meshes, the trajectory, and the page."""
 
+import json
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -13,15 +14,22 @@ from tests.cli.test_cli_navigation import saved
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.navigation.rooms import table, tracked
 
+FIRST_BYTES = {"glb": b"glTF", "ply": b"ply\n", "json": b"{"}
+
 
 @pytest.mark.parametrize(
     ("ending", "form"),
     [("glb", "glb"), ("PLY", "ply"), ("obj", "obj"), ("stl", "stl"), ("tum", "tum"), ("htm", "html"), ("json", "json")],
 )
 def test_the_ending_of_a_file_chooses_the_format(short_map, tmp_path, ending, form):
-    ended = look("export", short_map, "-o", tmp_path / f"map.{ending}", "--texture", 0, "--json")
+    out = tmp_path / f"map.{ending}"
+    ended = look("export", short_map, "-o", out, "--texture", 0, "--json")
     assert ended.status == 0, ended.stderr
     assert ended.json()["format"] == form
+    assert out.read_bytes().startswith(FIRST_BYTES.get(form, b""))
+    if form == "json":
+        ids = [tracked.id for tracked in open_map(short_map).snapshot.objects]
+        assert [entry["id"] for entry in json.loads(out.read_text())["objects"]] == ids
 
 
 @pytest.mark.parametrize(

@@ -13,16 +13,16 @@ from tests.engine.registration_sources import CAMERA, ROOM
 LAYER_ONE = ("--viewer", "none", "--set", "mapper.mapping.requests.max_failures=0")
 
 
-def log_of(folder, seen_from, told, boxes, *, num_depth=None):
+def log_of(folder, seen_from, told, boxes, *, camera=CAMERA, most_m=np.inf, num_depth=None):
     """Write a folder in the layout of TUM: frames seen from poses, of which the odometry tells others."""
     lines = {"rgb": [], "depth": [], "groundtruth": []}
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
-    np.savetxt(folder / "camera-intrinsics.txt", CAMERA.K)
+    np.savetxt(folder / "camera-intrinsics.txt", camera.K)
     for i, (pose, claimed) in enumerate(zip(seen_from, told, strict=True)):
         stem = f"{1000 + 0.3 * i:.6f}"
-        rgb, depth_m, _ = cast_scene(boxes, CAMERA, pose)
-        units = np.nan_to_num(depth_m * 5000.0).round().astype(np.uint16)
+        rgb, depth_m, _ = cast_scene(boxes, camera, pose)
+        units = np.nan_to_num(np.where(depth_m < most_m, depth_m, 0.0) * 5000.0).round().astype(np.uint16)
         for name, image in (("rgb", rgb[..., ::-1]), ("depth", units)):
             if name == "rgb" or num_depth is None or i < num_depth:
                 cv2.imwrite(str(folder / name / f"{stem}.png"), image)

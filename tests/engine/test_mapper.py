@@ -3,9 +3,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
+from hickory_stream.errors import RecordingError, ViewerError
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import create_map_folder
 from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
 
@@ -123,10 +122,3 @@ def test_a_sink_that_cannot_be_made_leaves_no_map(tmp_path):
     with pytest.raises(ViewerError, match="no screen"):
         map_scene(tmp_path, sinks=fail)
     assert not (tmp_path / "map").exists()
-
-
-def test_an_existing_map_is_refused_before_playing(tmp_path):
-    create_map_folder(tmp_path / "map", config={}, source={})
-    with pytest.raises(MapFolderError, match="holds a map already"):
-        map_scene(tmp_path)
-    assert (tmp_path / "map/manifest.json").exists()

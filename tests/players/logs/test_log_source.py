@@ -2,7 +2,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.errors import CalibrationError, InputError, RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players import SourceOptions, open_source
@@ -15,6 +15,7 @@ LOG = scenes.scene_messages(M, TRUTH, scenes.png_images)
 RAW_LOG = scenes.scene_messages(M, TRUTH, scenes.raw_images)
 COLOR_INFO = "/cam/color/camera_info"
 DEPTH_INFO = "/cam/aligned_depth/camera_info"
+WIDE = Camera(width=1280, height=720, fx=700, fy=700, cx=640, cy=360)
 
 
 def _open(path, messages, options=None, **settings):
@@ -38,80 +39,79 @@ def _only(index, change):
     return lambda message: change(message) if message.stamp_ns in stamps else message
 
 
-def _with_info(topic, info):
-    return _changed(topic, lambda message: replace(message, message=info))
+def _with_info(topic, info, messages=LOG):
+    return _changed(topic, lambda message: replace(message, message=info), messages)
 
 
-def test_a_log_without_depth_lists_topics_and_the_option(tmp_path):
-    with pytest.raises(
-        RecordingError, match=r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"
-    ):
-        _open(tmp_path, _without(scenes.PNG_DEPTH))
+def _setting(**fields):
+    """Return the change of a message that sets fields of its content."""
+    return lambda message: replace(message, message=replace(message.message, **fields))
 
 
-def test_a_log_without_colour_lists_topics_and_the_option(tmp_path):
-    with pytest.raises(RecordingError, match=r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"):
-        _open(tmp_path, _without(scenes.PNG_COLOR))
+def _delayed(delay_ns, frame):
+    """Return the change of a message that delays its header."""
+    return lambda message: _setting(header=M.header(message.stamp_ns + delay_ns, frame))(message)
 
 
-def test_a_log_without_poses_lists_its_topics(tmp_path):
-    with pytest.raises(RecordingError, match=r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"):
-        _open(tmp_path, _without("/odom", "/tf_static"), SourceOptions(odometry="topic"))
+def _in_frame(frame):
+    return lambda message: _setting(header=replace(message.message.header, frame_id=frame))(message)
 
 
-def test_a_log_without_intrinsics_names_where_they_were_sought(tmp_path):
-    with pytest.raises(CalibrationError, match=r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"):
-        _open(tmp_path, _without(COLOR_INFO, DEPTH_INFO))
+def _cut_to(size):
+    return lambda message: _setting(data=message.message.data[:size])(message)
+
+
+@pytest.mark.parametrize(
+    ("topics", "told"),
+    [
+        ((scenes.PNG_DEPTH,), r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"),
+        ((scenes.PNG_COLOR,), r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"),
+        (("/odom", "/tf_static"), r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"),
+        ((COLOR_INFO, DEPTH_INFO), r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"),
+        (("/tf_static",), r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"),
+    ],
+)
+def test_what_a_log_lacks_is_named_with_the_option(tmp_path, topics, told):
+    with pytest.raises(InputError, match=told):
+        _open(tmp_path, _without(*topics), SourceOptions(odometry="topic"))
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "told"),
+    [
+        (COLOR_INFO, _setting(k=np.zeros(9), p=np.zeros(12)), r"/cam/color/camera_info holds no intrinsics \(K = \[0"),
+        (scenes.PNG_DEPTH, _in_frame("depth_optical"), r"depth's frame depth_optical to the colour's cam_optical"),
+        (
+            "/odom",
+            lambda message: _delayed(0, "odom")(replace(message, stamp_ns=message.stamp_ns + 3_600_000 * MS)),
+            r"images from 1700000000\.123 s.*poses of /odom from 1700003600\.",
+        ),
+        (
+            scenes.PNG_DEPTH,
+            _delayed(40_000 * MS, scenes.OPTICAL),
+            r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s",
+        ),
+        (
+            scenes.PNG_DEPTH,
+            _setting(format="32FC1; compressedDepth png"),
+            r"none of the first 6 images.*inverse depth without parameters",
+        ),
+        (
+            COLOR_INFO,
+            lambda message: replace(message, message=M.camera_info(message.stamp_ns, scenes.OPTICAL, WIDE)),
+            r"for 1280x720 and 80x60 pixels; no pair",
+        ),
+    ],
+)
+def test_topics_that_do_not_fit_together_are_refused(tmp_path, topic, change, told):
+    with pytest.raises(InputError, match=told):
+        _open(tmp_path, _changed(topic, change))
 
 
 def test_depth_in_the_colour_frame_needs_no_calibration(tmp_path):
     source = _open(tmp_path, _without(DEPTH_INFO))
     assert len(list(source.frames())) == len(TRUTH)
     assert dict(source.info.streams)["depth_info"] == COLOR_INFO
-
-
-def test_a_camera_matrix_of_zeros_is_a_missing_calibration(tmp_path):
-    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, scenes.CAMERA)
-    zeros = replace(info, k=np.zeros(9), p=np.zeros(12))
-    with pytest.raises(CalibrationError, match=r"/cam/color/camera_info holds no intrinsics \(K = \[0"):
-        _open(tmp_path, _with_info(COLOR_INFO, zeros))
-
-
-def test_odometry_without_a_way_to_the_camera_names_both_frames(tmp_path):
-    with pytest.raises(
-        CalibrationError, match=r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"
-    ):
-        _open(tmp_path, _without("/tf_static"))
-
-
-def test_depth_without_a_link_to_colour_names_both_frames(tmp_path):
-    other = M.header(TRUTH[0].stamp_ns, "depth_optical")
-
-    def move(message):
-        return replace(
-            message, message=replace(message.message, header=replace(message.message.header, frame_id=other.frame_id))
-        )
-
-    with pytest.raises(CalibrationError, match=r"depth's frame depth_optical to the colour's cam_optical"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, move))
-
-
-def test_poses_that_never_overlap_are_refused_with_ranges(tmp_path):
-    def later(message):
-        stamp_ns = message.stamp_ns + 3_600_000 * MS
-        return replace(message, stamp_ns=stamp_ns, message=replace(message.message, header=M.header(stamp_ns, "odom")))
-
-    with pytest.raises(RecordingError, match=r"images from 1700000000\.123 s.*poses of /odom from 1700003600\."):
-        _open(tmp_path, _changed("/odom", later))
-
-
-def test_colour_and_depth_that_never_meet_are_refused(tmp_path):
-    def later(message):
-        header = M.header(message.stamp_ns + 40_000 * MS, scenes.OPTICAL)
-        return replace(message, message=replace(message.message, header=header))
-
-    with pytest.raises(RecordingError, match=r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, later))
 
 
 def test_a_missing_topic_is_refused_with_the_existing_ones(tmp_path):
@@ -128,28 +128,14 @@ def test_a_log_without_messages_is_told(tmp_path):
     ("topic", "encoding"), [(scenes.RAW_COLOR, "jpeg2000"), (scenes.RAW_DEPTH, "64FC1"), (scenes.RAW_DEPTH, "rgb8")]
 )
 def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path, topic, encoding):
-    def recode(message):
-        return replace(message, message=replace(message.message, encoding=encoding))
-
     with pytest.raises(RecordingError, match=rf"{topic} is encoded as '{encoding}'; .* must be one of"):
-        _open(tmp_path, _changed(topic, recode, RAW_LOG))
-
-
-def test_inverse_depth_without_parameters_is_refused(tmp_path):
-    def recode(message):
-        return replace(message, message=replace(message.message, format="32FC1; compressedDepth png"))
-
-    with pytest.raises(RecordingError, match=r"none of the first 6 images.*inverse depth without parameters"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
+        _open(tmp_path, _changed(topic, _setting(encoding=encoding), RAW_LOG))
 
 
 @pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
 @pytest.mark.parametrize("size", [0, 60])
 def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, size):
-    def tear(message):
-        return replace(message, message=replace(message.message, data=message.message.data[:size]))
-
-    source = _open(tmp_path, _changed(topic, _only(2, tear)))
+    source = _open(tmp_path, _changed(topic, _only(2, _cut_to(size))))
     frames = list(source.frames())
     assert len(frames) == len(TRUTH)
     with pytest.raises(RecordingError, match=topic):
@@ -159,10 +145,7 @@ def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, si
 
 
 def test_a_first_image_without_bytes_does_not_stop_the_log(tmp_path):
-    def empty(message):
-        return replace(message, message=replace(message.message, data=message.message.data[:0]))
-
-    assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, empty))).frames())) == len(TRUTH)
+    assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, _cut_to(0)))).frames())) == len(TRUTH)
 
 
 def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
@@ -175,13 +158,6 @@ def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert stamps == [frame.stamp_ns for i, frame in enumerate(TRUTH) if i != 2]
     assert source.ledger() == {"frames": len(TRUTH) - 1, "frame_of_other_size": 1}
-
-
-def test_images_that_all_contradict_calibration_are_refused(tmp_path):
-    wide = Camera(width=1280, height=720, fx=700, fy=700, cx=640, cy=360)
-    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, wide)
-    with pytest.raises(CalibrationError, match=r"for 1280x720 and 80x60 pixels; no pair"):
-        _open(tmp_path, _with_info(COLOR_INFO, info))
 
 
 def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
@@ -307,10 +283,8 @@ def test_the_odometry_that_carries_the_camera_is_preferred(tmp_path):
 
 
 def test_static_transforms_repeated_on_tf_are_static(tmp_path):
-    def moved(message):
-        return replace(message, topic="/tf")
-
-    assert len(list(_open(tmp_path, _changed("/tf_static", moved)).frames())) == len(TRUTH)
+    log = _changed("/tf_static", lambda message: replace(message, topic="/tf"))
+    assert len(list(_open(tmp_path, log).frames())) == len(TRUTH)
 
 
 def test_the_chain_from_the_world_to_the_camera_is_told(tmp_path):
@@ -387,8 +361,7 @@ def test_a_distorted_image_is_rectified_to_a_pinhole(tmp_path):
 
     log = _changed("/fwd/color/image_raw/compressed", _only(0, swap), _unregistered())
     info = M.camera_info(scenes.START_NS, "color_optical", COLOR_CAMERA, distortion)
-    log = _changed("/fwd/color/camera_info", lambda message: replace(message, message=info), log)
-    raw = next(_open(tmp_path, log).frames())
+    raw = next(_open(tmp_path, _with_info("/fwd/color/camera_info", info, log)).frames())
     assert raw.color_bytes is None
     middle = (slice(20, -20), slice(20, -20))
     error = np.abs(raw.decode().rgb[middle].astype(int) - rgb[middle])
@@ -435,19 +408,14 @@ def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
 
 
 def test_the_camera_of_the_colour_is_whose_depth_is_taken(tmp_path):
-    def elsewhere(message):
-        return replace(message, topic=message.topic.replace("/cam/", "/back/"))
-
-    both = LOG + [elsewhere(message) for message in LOG if message.topic.startswith("/cam/")]
-    streams = dict(_open(tmp_path, both, SourceOptions(color_topic=scenes.PNG_COLOR)).info.streams)
+    back = [replace(m, topic=m.topic.replace("/cam/", "/back/")) for m in LOG if m.topic.startswith("/cam/")]
+    streams = dict(_open(tmp_path, LOG + back, SourceOptions(color_topic=scenes.PNG_COLOR)).info.streams)
     assert streams["depth"] == scenes.PNG_DEPTH
 
 
 def test_a_calibration_elsewhere_is_found_by_its_frame(tmp_path):
-    def away(message):
-        return replace(message, topic="/calibration")
-
-    log = _changed(DEPTH_INFO, lambda message: None, _changed(COLOR_INFO, away))
+    log = _changed(COLOR_INFO, lambda message: replace(message, topic="/calibration"))
+    log = _changed(DEPTH_INFO, lambda message: None, log)
     assert dict(_open(tmp_path, log).info.streams)["color_info"] == "/calibration"
 
 
@@ -459,8 +427,7 @@ def test_depth_of_half_size_is_scaled_to_the_colour_frame(tmp_path):
         return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", depth))
 
     info = M.camera_info(scenes.START_NS, scenes.OPTICAL, half)
-    log = _changed(scenes.RAW_DEPTH, shrink, RAW_LOG)
-    log = _changed(DEPTH_INFO, lambda message: replace(message, message=info), log)
+    log = _with_info(DEPTH_INFO, info, _changed(scenes.RAW_DEPTH, shrink, RAW_LOG))
     for raw, truth in zip(_open(tmp_path, log).frames(), TRUTH, strict=True):
         error = np.abs(raw.decode().depth_m - truth.depth_m)
         assert np.nanmedian(error) < 0.02
