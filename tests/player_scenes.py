@@ -284,33 +284,35 @@ def scene_messages(m, frames, images, *, with_odometry=True):
     return sorted(messages, key=lambda message: message.stamp_ns)
 
 
-def write_ros1(path, m, messages):
-    """Write a ROS 1 bag, recorded two minutes late by the clock of the recorder."""
+def write_ros1(path, m, messages, *, late_ns=120_000_000_000, compression=None):
+    """Write a ROS 1 bag, recorded two minutes late by the clock of the recorder, or by another time."""
     from rosbags.rosbag1 import Writer
 
-    with Writer(path) as writer:
-        connections = {}
-        for entry in messages:
-            name = entry.message.__msgtype__
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(entry.topic, name, typestore=m.store)
-            data = m.store.serialize_ros1(entry.message, name)
-            writer.write(connections[entry.topic], entry.stamp_ns + 120_000_000_000, data)
-    return path
+    writer = Writer(path)
+    if compression is not None:
+        writer.set_compression(Writer.CompressionFormat[compression.upper()])
+    return _written(path, writer, m, messages, m.store.serialize_ros1, late_ns)
 
 
-def write_ros2(path, m, messages, storage="sqlite3"):
-    """Write a ROS 2 bag folder with `storage` sqlite3 or mcap."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def write_ros2(path, m, messages, storage="sqlite3", *, compression=None):
+    """Write a ROS 2 bag folder with `storage` sqlite3 or mcap; Zstandard packs each MESSAGE or FILE."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    if compression is not None:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    return _written(path, writer, m, messages, m.store.serialize_cdr)
+
+
+def _written(path, writer, m, messages, serialize, late_ns=0):
+    with writer:
         connections = {}
         for entry in messages:
             name = entry.message.__msgtype__
             if entry.topic not in connections:
                 connections[entry.topic] = writer.add_connection(entry.topic, name, typestore=m.store)
-            writer.write(connections[entry.topic], entry.stamp_ns, m.store.serialize_cdr(entry.message, name))
+            writer.write(connections[entry.topic], entry.stamp_ns + late_ns, serialize(entry.message, name))
     return path
 
 

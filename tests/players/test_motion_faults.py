@@ -9,16 +9,15 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
 from hickory_stream.cli import main
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import SOUND, UNUSABLE, WITH_LOSSES, examine
 from players.doctor.motion_mends import motion_warnings
 from players.profile import load_profile, mended_profile
+from tests import player_scenes as scenes
 
 DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+M = scenes.Messages(ros=2)
 COLOR, DEPTH, ODOM = "/front/image/compressed", "/front/depth/image/compressedDepth", "/odom"
 # Neutral names, so that no profile of a robot answers for what the log lacks.
 NAMES = {
@@ -43,20 +42,10 @@ def cut(path, change=lambda rows: None, seconds=6.0, start=0.0):
     """Write some seconds of the recording, with the messages as a change leaves them."""
     first = demo()[0][2] + start * 1e9
     chosen = [r for r in demo() if first <= r[2] <= first + seconds * 1e9 or r[1] == "/tf_static"]
-    rows = [Row(kind=k, topic=t, log_ns=n, message=STORE.deserialize_cdr(d, k)) for k, t, n, d in chosen]
+    rows = [Row(kind=k, topic=t, log_ns=n, message=M.store.deserialize_cdr(d, k)) for k, t, n, d in chosen]
     change(rows)
-    with path.open("wb") as stream:
-        writer, channels = Writer(stream), {}
-        writer.start(profile="ros2")
-        for i, row in enumerate(rows):
-            if row.topic not in channels:
-                text = STORE.generate_msgdef(row.kind, ros_version=2)[0].encode()
-                schema = writer.register_schema(row.kind, "ros2msg", text)
-                channels[row.topic] = writer.register_channel(row.topic, "cdr", schema)
-            data = bytes(STORE.serialize_cdr(row.message, row.kind))
-            writer.add_message(channels[row.topic], row.log_ns, data, row.log_ns, i)
-        writer.finish()
-    return path
+    messages = [scenes.Message(topic=row.topic, stamp_ns=row.log_ns, message=row.message) for row in rows]
+    return scenes.write_mcap(path, M, messages)
 
 
 def of(rows, *topics):

@@ -22,6 +22,14 @@ def opened(route, *, inbox=None, patience_s=5.0, **options):
     return open_live(route.uri, route=route, inbox=inbox, patience_s=patience_s, attempt_s=0.3, **options)
 
 
+def ended(packets):
+    """Return a route that sent packets and ended, and the source that was opened before its end."""
+    route = ScriptedRoute(at_start=packets)
+    source = opened(route)
+    route.end()
+    return route, source
+
+
 def unaccounted(source, route):
     """Return, by topic, how many of the messages that a route sent are in no bucket of the ledger."""
     entries = {entry.topic: entry for entry in source.account().topics}
@@ -31,9 +39,7 @@ def unaccounted(source, route):
 def test_what_arrives_gives_the_frames_that_the_same_log_gives(tmp_path):
     m = Messages(2)
     path = write_mcap(tmp_path / "scene.mcap", m, scene_messages(m, make_scene(), png_images))
-    route = ScriptedRoute(at_start=scene_packets())
-    source = opened(route)
-    route.end()
+    route, source = ended(scene_packets())
     live, logged = list(source.frames()), list(open_source(path).frames())
     assert [frame.stamp_ns for frame in live] == [frame.stamp_ns for frame in logged]
     for a, b in zip(live, logged, strict=True):
@@ -132,9 +138,7 @@ def test_a_robot_restarted_at_clock_zero_is_still_mapped():
     packets = scene_packets()
     first_ns = packets[0].stamp_ns
     again = [replace(packet, data=restamped(packet.topic, packet.data, 5_000_000_000 - first_ns)) for packet in packets]
-    route = ScriptedRoute(at_start=packets + again)
-    source = opened(route)
-    route.end()
+    route, source = ended(packets + again)
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert len([stamp_ns for stamp_ns in stamps if stamp_ns > first_ns]) == 6
     assert len([stamp_ns for stamp_ns in stamps if stamp_ns < 10_000_000_000]) == 6
@@ -174,9 +178,7 @@ def test_doubled_and_reordered_messages_are_counted():
     packets = scene_packets(12)
     swapped = [packets[i ^ 1] if (i ^ 1) < len(packets) else packets[i] for i in range(len(packets))]
     doubled = [packet for i, packet in enumerate(swapped) for _ in range(1 + (i % 5 == 0))]
-    route = ScriptedRoute(at_start=doubled)
-    source = opened(route)
-    route.end()
+    route, source = ended(doubled)
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert stamps == sorted(set(stamps))
     assert len(stamps) == 12
@@ -258,9 +260,7 @@ def test_images_that_change_size_in_mid_stream_are_counted():
             other = m.compressed(stamp_ns, OPTICAL, "png", png_bytes(np.zeros((30, 40, 3), dtype=np.uint8)))
             packet = replace(packet, data=bytes(store.serialize_cdr(other, color.type_name)))
         changed.append(packet)
-    route = ScriptedRoute(at_start=changed)
-    source = opened(route)
-    route.end()
+    route, source = ended(changed)
     frames = list(source.frames())
     fates = source.ledger()
     assert fates["frame_of_other_size"] + len(frames) == 12
@@ -287,9 +287,7 @@ def test_the_camera_decides_between_robots_with_equal_frames():
     theirs.append(replace(tf, topic=replace(tf.topic, name="/b3/tf_static")))
     ordered = sorted([*ours, *theirs], key=lambda packet: packet.stamp_ns)
     for packets in (ordered, [*theirs, *ours]):
-        route = ScriptedRoute(at_start=packets)
-        source = opened(route)
-        route.end()
+        route, source = ended(packets)
         frames = list(source.frames())
         assert len(frames) == 12
         assert all(abs(frame.world_from_camera[0, 3]) < 5.0 for frame in frames)

@@ -77,17 +77,7 @@ def test_a_hope_json_without_a_camera_names_the_file(tmp_path):
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
 @pytest.mark.parametrize("has_metadata", [True, False])
 def test_a_compressed_bag_is_the_scene(tmp_path, mode, has_metadata):
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
-
-    writer = Writer(tmp_path / "bag", version=9)
-    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for entry in LOG:
-            kind = entry.message.__msgtype__
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(entry.topic, kind, typestore=M.store)
-            writer.write(connections[entry.topic], entry.stamp_ns, M.store.serialize_cdr(entry.message, kind))
+    scenes.write_ros2(tmp_path / "bag", M, LOG, compression=mode)
     if not has_metadata:
         (tmp_path / "bag" / "metadata.yaml").unlink()
     _assert_scene(open_source(tmp_path / "bag"))

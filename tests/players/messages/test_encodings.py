@@ -4,7 +4,6 @@ import base64
 import json
 import struct
 from types import SimpleNamespace
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -78,10 +77,6 @@ def test_every_encoding_that_is_promised_is_decoded():
         assert color_of_pixels(raw_pixels(_message(encoding, rows, 8, 8), encoding), encoding).shape == (8, 8, 3)
 
 
-def _png(image):
-    return bytes(cv2.imencode(".png", image)[1])
-
-
 def encode_rvl(pixels):
     flat = [int(pixel) for pixel in pixels.ravel()]
     nibbles = []
@@ -114,7 +109,7 @@ HEADER = struct.pack("<iff", 0, 0.0, 0.0)
 @pytest.mark.parametrize("encoding", ["16UC1; compressedDepth", "16UC1; compressedDepth png", "png", "16UC1", ""])
 @pytest.mark.parametrize("header", [HEADER, b""])
 def test_millimetres_are_found_whatever_the_format_string_says(encoding, header):
-    depth_m = decode_compressed_depth(header + _png(DEPTH_MM), encoding, 1000.0, "depth")
+    depth_m = decode_compressed_depth(header + scenes.png_bytes(DEPTH_MM), encoding, 1000.0, "depth")
     np.testing.assert_allclose(depth_m[DEPTH_MM > 0], DEPTH_MM[DEPTH_MM > 0] / 1000.0, rtol=1e-6)
     assert np.isnan(depth_m[DEPTH_MM == 0]).all()
 
@@ -126,7 +121,7 @@ def test_inverse_depth_is_metres_again(codec):
     true_m = np.linspace(0.5, 9.5, 64 * 48).reshape(48, 64).astype(np.float32)
     numbers = np.round(a / true_m + b).astype(np.uint16)
     numbers[0, :5] = 0
-    packed = _png(numbers) if codec == "png" else struct.pack("<ii", 64, 48) + encode_rvl(numbers)
+    packed = scenes.png_bytes(numbers) if codec == "png" else struct.pack("<ii", 64, 48) + encode_rvl(numbers)
     data = struct.pack("<iff", 0, a, b) + packed
     depth_m = decode_compressed_depth(data, f"32FC1; compressedDepth {codec}", 1000.0, "depth")
     assert np.isnan(depth_m[0, :5]).all()
@@ -135,7 +130,7 @@ def test_inverse_depth_is_metres_again(codec):
 
 @pytest.mark.parametrize("parameters", [(0, 0.0, 0.0), (1, 5.0, 0.0), (0, float("nan"), 0.0)])
 def test_inverse_depth_without_its_parameters_is_refused(parameters):
-    data = struct.pack("<iff", *parameters) + _png(DEPTH_MM)
+    data = struct.pack("<iff", *parameters) + scenes.png_bytes(DEPTH_MM)
     with pytest.raises(RecordingError, match="inverse depth without parameters"):
         decode_compressed_depth(data, "32FC1; compressedDepth png", 1000.0, "depth")
 
@@ -168,7 +163,7 @@ def test_noise_is_refused_or_an_image_and_never_crashes(data, encoding):
 
 
 def test_an_image_that_claims_to_be_huge_is_refused_early():
-    bomb = bytearray(_png(DEPTH_MM))
+    bomb = bytearray(scenes.png_bytes(DEPTH_MM))
     bomb[16:24] = struct.pack(">II", 60_000, 60_000)
     for decode in (
         lambda: decode_color(bytes(bomb), "image"),
