@@ -61,49 +61,40 @@ def test_many_senders_and_receivers_lose_and_double_nothing(capacity, senders, r
     assert asyncio.run(pass_through()) == [100 * i + k for i in range(senders) for k in range(each)]
 
 
-def test_a_full_channel_makes_the_sender_wait():
-    async def run():
-        channel = Channel(1)
-        await channel.send("a")
-        waiting = asyncio.create_task(channel.send("b"))
-        for _ in range(5):
-            await asyncio.sleep(0)
-        assert not waiting.done()
-        assert channel.statistics().length == 1
-        assert await channel.receive() == "a"
+async def test_a_full_channel_makes_the_sender_wait():
+    channel = Channel(1)
+    await channel.send("a")
+    waiting = asyncio.create_task(channel.send("b"))
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert not waiting.done()
+    assert channel.statistics().length == 1
+    assert await channel.receive() == "a"
+    await waiting
+    assert await channel.receive() == "b"
+
+
+async def test_closing_wakes_the_sender_and_items_can_still_be_taken():
+    channel = Channel(1)
+    await channel.send(1)
+    waiting = asyncio.create_task(channel.send(2))
+    await asyncio.sleep(0)
+    await channel.close()
+    with pytest.raises(ChannelClosed):
         await waiting
-        assert await channel.receive() == "b"
-
-    asyncio.run(run())
-
-
-def test_closing_wakes_the_sender_and_items_can_still_be_taken():
-    async def run():
-        channel = Channel(1)
-        await channel.send(1)
-        waiting = asyncio.create_task(channel.send(2))
-        await asyncio.sleep(0)
-        await channel.close()
-        with pytest.raises(ChannelClosed):
-            await waiting
-        assert await channel.receive() == 1
-        with pytest.raises(ChannelClosed):
-            await channel.receive()
-
-    asyncio.run(run())
+    assert await channel.receive() == 1
+    with pytest.raises(ChannelClosed):
+        await channel.receive()
 
 
-def test_a_cancelled_wait_takes_nothing_with_it():
-    async def run():
-        channel = Channel(1)
-        waiting = asyncio.create_task(channel.receive())
-        await asyncio.sleep(0)
-        waiting.cancel()
-        await asyncio.gather(waiting, return_exceptions=True)
-        await channel.send(1)
-        assert await channel.receive() == 1
-
-    asyncio.run(run())
+async def test_a_cancelled_wait_takes_nothing_with_it():
+    channel = Channel(1)
+    waiting = asyncio.create_task(channel.receive())
+    await asyncio.sleep(0)
+    waiting.cancel()
+    await asyncio.gather(waiting, return_exceptions=True)
+    await channel.send(1)
+    assert await channel.receive() == 1
 
 
 def test_a_channel_without_room_is_refused():
@@ -111,14 +102,11 @@ def test_a_channel_without_room_is_refused():
         Channel(0)
 
 
-def test_a_dropping_channel_returns_the_oldest_and_never_waits():
-    async def run():
-        channel = Channel(2, "drop_oldest")
-        assert [await channel.send(i) for i in range(5)] == [None, None, 0, 1, 2]
-        assert channel.statistics().dropped == 3
-        assert await channel.receive_all() == [3, 4]
-        await channel.close()
-        with pytest.raises(ChannelClosed):
-            await channel.receive_all()
-
-    asyncio.run(run())
+async def test_a_dropping_channel_returns_the_oldest_and_never_waits():
+    channel = Channel(2, "drop_oldest")
+    assert [await channel.send(i) for i in range(5)] == [None, None, 0, 1, 2]
+    assert channel.statistics().dropped == 3
+    assert await channel.receive_all() == [3, 4]
+    await channel.close()
+    with pytest.raises(ChannelClosed):
+        await channel.receive_all()

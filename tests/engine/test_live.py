@@ -50,8 +50,7 @@ class TellingSource(SceneSource):
 
 
 def fates(path):
-    frames = dict(open_map(path).ledger["frames"])
-    return frames
+    return dict(open_map(path).ledger["frames"])
 
 
 def test_a_live_run_that_keeps_up_maps_all_and_replays_the_same(tmp_path):

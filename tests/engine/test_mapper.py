@@ -103,15 +103,19 @@ def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
     assert shape_workers() == []
 
 
-def test_a_source_without_frames_is_refused_and_leaves_no_map(tmp_path):
-    with pytest.raises(RecordingError, match=r"memory:scene gave no usable frame \(frames 0\)"):
-        map_scene(tmp_path, source=SceneSource(0))
-    assert not (tmp_path / "map").exists()
-
-
-def test_a_source_without_depth_is_refused_and_leaves_no_map(tmp_path):
-    with pytest.raises(RecordingError, match=rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"):
-        map_scene(tmp_path, source=FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)))
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        (SceneSource(0), r"memory:scene gave no usable frame \(frames 0\)"),
+        (
+            FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)),
+            rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes",
+        ),
+    ],
+)
+def test_a_source_without_frames_or_depth_leaves_no_map(tmp_path, source, told):
+    with pytest.raises(RecordingError, match=told):
+        map_scene(tmp_path, source=source)
     assert not (tmp_path / "map").exists()
 
 

@@ -56,10 +56,7 @@ def test_a_frame_whose_time_has_passed_is_due_at_once():
     assert in_loop(lambda: all(returns_at_once(pacer, i * SECOND_NS) for i in range(1, 100)))
 
 
-def test_a_jump_back_starts_the_clock_anew():
-    async def run():
-        pacer = Pacer(SLOW)
-        stamps_ns = [9 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS, 3 * SECOND_NS]
-        return [await soon(pacer.wait(stamp_ns)) for stamp_ns in stamps_ns]
-
-    assert asyncio.run(run()) == [True, False, True, False]
+async def test_a_jump_back_starts_the_clock_anew():
+    pacer = Pacer(SLOW)
+    stamps_ns = [9 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS, 3 * SECOND_NS]
+    assert [await soon(pacer.wait(stamp_ns)) for stamp_ns in stamps_ns] == [True, False, True, False]

@@ -10,13 +10,8 @@ from hickory_stream.map_folder.verify import State, verify
 
 
 @pytest.fixture
-def sound(undisturbed_run):
-    return undisturbed_run
-
-
-@pytest.fixture
-def path(sound, tmp_path):
-    shutil.copytree(sound.folder.path, tmp_path / "map")
+def path(undisturbed_run, tmp_path):
+    shutil.copytree(undisturbed_run.folder.path, tmp_path / "map")
     return tmp_path / "map"
 
 
@@ -193,7 +188,7 @@ def test_the_command_exits_0_1_and_2(path, capsys):
 
 
 @pytest.mark.parametrize("damage", ["altered", "unreadable"])
-def test_a_map_is_mended_from_its_journal_only_when_asked(path, sound, capsys, damage):
+def test_a_map_is_mended_from_its_journal_only_when_asked(path, undisturbed_run, capsys, damage):
     before = sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file())
     if damage == "altered":
         shrink_layer_four(path)
@@ -204,7 +199,7 @@ def test_a_map_is_mended_from_its_journal_only_when_asked(path, sound, capsys, d
     saved = open_map(path)
     assert not saved.is_altered
     assert saved.manifest.finished_cleanly
-    assert saved.digest == sound.digest
+    assert saved.digest == undisturbed_run.digest
     assert sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file()) == before
 
 

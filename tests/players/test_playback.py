@@ -23,11 +23,8 @@ def test_at_a_rate_frames_are_due_by_their_stamps():
     assert clock.due_in_s(START_NS + 10**9, is_keyframe=False) == 0.0
 
 
-def test_without_a_rate_frames_are_due_at_once():
+def test_without_a_rate_frames_are_due_from_stamp_zero_on():
     assert PlaybackClock(None).due_in_s(START_NS, is_keyframe=False) == 0.0
-
-
-def test_playback_counts_from_a_first_frame_at_stamp_zero():
     clock = PlaybackClock(None)
     assert clock.describe() == "at 0.0 s of the log, full speed"
     for stamp_ns in (0, 2_500_000_000):

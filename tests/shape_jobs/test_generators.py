@@ -151,20 +151,14 @@ def test_a_pose_that_is_no_similarity_is_refused(tmp_path, rows):
         read_answer(tmp_path, "a", 1)
 
 
-def test_an_unaccepted_licence_is_refused_with_what_to_say(toml):
+def test_a_generator_that_cannot_start_is_refused_with_the_reason(toml):
     with pytest.raises(ConfigError, match=r'run\.accept_licence = "I do research"'):
         chosen_generator(config(toml, i_accept=""))
-
-
-def test_what_is_missing_is_named(toml):
-    (toml.parent / "weights.bin").unlink()
-    with pytest.raises(ConfigError, match=r"lacks the weights .*weights.bin"):
-        chosen_generator(config(toml))
-
-
-def test_an_environment_that_does_not_start_is_refused(toml):
     (toml.parent / "box_generator.py").write_text("raise SystemExit(7)")
     with pytest.raises(ConfigError, match="ended with status 7"):
+        chosen_generator(config(toml))
+    (toml.parent / "weights.bin").unlink()
+    with pytest.raises(ConfigError, match=r"lacks the weights .*weights.bin"):
         chosen_generator(config(toml))
 
 

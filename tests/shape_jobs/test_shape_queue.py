@@ -70,13 +70,6 @@ def desk(shared_desk):
     return shared_desk
 
 
-def run(use):
-    async def main():
-        return await use()
-
-    return asyncio.run(main())
-
-
 @given(data=st.data(), dues=st.lists(st.integers(0, 4), min_size=1, max_size=5))
 def test_commits_follow_due_stamp_and_ticket_in_any_order(shared_desk, data, dues):
     shared_desk.reset()
@@ -93,106 +86,82 @@ def test_commits_follow_due_stamp_and_ticket_in_any_order(shared_desk, data, due
         return committed
 
     by_due = sorted((due, ticket) for ticket, due in enumerate(dues, start=1))
-    assert run(use) == [(ticket, due * SECOND_NS) for due, ticket in by_due]
+    assert asyncio.run(use()) == [(ticket, due * SECOND_NS) for due, ticket in by_due]
 
 
-def test_nothing_is_committed_before_it_is_due(desk):
-    async def use():
-        await desk.ask(1, 2 * SECOND_NS)
-        desk.workers.answer(1)
-        assert await desk.committed(2 * SECOND_NS - 1) == []
-        assert desk.queue.num_open == 1
-        return await desk.committed(3 * SECOND_NS)
-
+async def test_nothing_is_committed_before_it_is_due(desk):
+    await desk.ask(1, 2 * SECOND_NS)
+    desk.workers.answer(1)
+    assert await desk.committed(2 * SECOND_NS - 1) == []
+    assert desk.queue.num_open == 1
     # Committed at the keyframe that found it due, not at the stamp that it was promised for.
-    assert run(use) == [(1, 3 * SECOND_NS)]
+    assert await desk.committed(3 * SECOND_NS) == [(1, 3 * SECOND_NS)]
 
 
-def test_a_late_answer_is_waited_for(desk):
-    async def use():
-        await desk.ask(1, SECOND_NS)
-        waiting = asyncio.create_task(desk.queue.next_due(SECOND_NS))
-        for _ in range(5):
-            await asyncio.sleep(0)
-        assert not waiting.done()
-        desk.workers.answer(1)
-        event = await waiting
-        assert event.reason == "no shape 1"
-
-    run(use)
+async def test_a_late_answer_is_waited_for(desk):
+    await desk.ask(1, SECOND_NS)
+    waiting = asyncio.create_task(desk.queue.next_due(SECOND_NS))
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert not waiting.done()
+    desk.workers.answer(1)
+    event = await waiting
+    assert event.reason == "no shape 1"
 
 
-def test_without_a_stamp_all_open_jobs_are_committed_when_due(desk):
-    async def use():
-        await desk.ask(1, 7 * SECOND_NS)
-        await desk.ask(2, 5 * SECOND_NS)
-        desk.workers.answer(1)
-        desk.workers.answer(2)
-        return await desk.committed(None)
-
-    assert run(use) == [(2, 5 * SECOND_NS), (1, 7 * SECOND_NS)]
+async def test_without_a_stamp_all_open_jobs_are_committed_when_due(desk):
+    await desk.ask(1, 7 * SECOND_NS)
+    await desk.ask(2, 5 * SECOND_NS)
+    desk.workers.answer(1)
+    desk.workers.answer(2)
+    assert await desk.committed(None) == [(2, 5 * SECOND_NS), (1, 7 * SECOND_NS)]
 
 
-def test_a_shape_that_was_built_comes_as_ready_with_its_timings(desk):
-    async def use():
-        await desk.queue.request(desk.request)
-        folder, _ = desk.workers.open[1]
-        inputs, config = read_job(folder)
-        write_result(folder, build_shape(inputs, BoxReconstructor(), config), "box")
-        desk.workers.answer(1)
-        event = await desk.queue.next_due(0)
-        assert (event.object_id, event.shape.reconstructor) == (3, "box")
-        assert (desk.folder.shapes / event.shape.mesh_name).exists()
-
-    run(use)
+async def test_a_shape_that_was_built_comes_as_ready_with_its_timings(desk):
+    await desk.queue.request(desk.request)
+    folder, _ = desk.workers.open[1]
+    inputs, config = read_job(folder)
+    write_result(folder, build_shape(inputs, BoxReconstructor(), config), "box")
+    desk.workers.answer(1)
+    event = await desk.queue.next_due(0)
+    assert (event.object_id, event.shape.reconstructor) == (3, "box")
+    assert (desk.folder.shapes / event.shape.mesh_name).exists()
     assert desk.queue.counts == {"requested": 1, "ready": 1}
     assert set(desk.queue.timings_s) == {"reconstruct", "fit", "inflate"}
 
 
-def test_a_job_that_was_given_up_comes_as_failed_with_the_reason(desk):
-    async def use():
-        await desk.ask(1, 0)
-        desk.workers.answer(1, "no answer within 60 s")
-        return await desk.queue.next_due(0)
-
-    event = run(use)
+async def test_a_job_that_was_given_up_comes_as_failed_with_the_reason(desk):
+    await desk.ask(1, 0)
+    desk.workers.answer(1, "no answer within 60 s")
+    event = await desk.queue.next_due(0)
     assert event.reason == "no answer within 60 s"
     assert desk.queue.counts == {"requested": 1, "failed": 1}
 
 
-def test_an_answer_that_cannot_be_read_comes_as_failed(desk):
-    async def use():
-        await desk.ask(1, 0)
-        folder, answer = desk.workers.open[1]
-        (folder / "result.json").write_text("{")
-        answer.set_result(None)
-        return await desk.queue.next_due(0)
-
-    event = run(use)
+async def test_an_answer_that_cannot_be_read_comes_as_failed(desk):
+    await desk.ask(1, 0)
+    folder, answer = desk.workers.open[1]
+    (folder / "result.json").write_text("{")
+    answer.set_result(None)
+    event = await desk.queue.next_due(0)
     assert "no readable answer" in event.reason
 
 
-def test_a_job_that_somebody_gave_up_waiting_for_is_still_open(desk):
-    async def patience():
-        await desk.ask(1, due_ns=SECOND_NS)
-        with pytest.raises(asyncio.TimeoutError):
-            await asyncio.wait_for(desk.queue.next_due(None), timeout=0.01)
-        is_wanted = not desk.workers.open[1][1].cancelled()
-        desk.workers.answer(1)
-        return is_wanted, await desk.committed(None)
-
-    assert run(patience) == (True, [(1, SECOND_NS)])
+async def test_a_job_that_somebody_gave_up_waiting_for_is_still_open(desk):
+    await desk.ask(1, due_ns=SECOND_NS)
+    with pytest.raises(asyncio.TimeoutError):
+        await asyncio.wait_for(desk.queue.next_due(None), timeout=0.01)
+    is_wanted = not desk.workers.open[1][1].cancelled()
+    desk.workers.answer(1)
+    assert (is_wanted, await desk.committed(None)) == (True, [(1, SECOND_NS)])
 
 
-def test_a_cancelled_job_is_neither_waited_for_nor_committed(desk):
-    async def use():
-        await desk.ask(1, 0)
-        await desk.ask(2, 0)
-        desk.queue.cancel(1)
-        desk.queue.cancel(99)
-        desk.workers.answer(2)
-        return await desk.committed(None)
-
-    assert run(use) == [(2, 0)]
+async def test_a_cancelled_job_is_neither_waited_for_nor_committed(desk):
+    await desk.ask(1, 0)
+    await desk.ask(2, 0)
+    desk.queue.cancel(1)
+    desk.queue.cancel(99)
+    desk.workers.answer(2)
+    assert await desk.committed(None) == [(2, 0)]
     assert desk.workers.open[1][1].cancelled()
     assert desk.queue.counts == {"requested": 2, "cancelled": 1, "failed": 1}

@@ -171,11 +171,6 @@ def test_a_goal_is_planned_in_the_map_of_that_moment():
     link.ears[GOAL_TOPIC](goal_message(0, np.array([4.5, 1.0])))
     sink.close()
     assert sink.counts()["goals"]["no_path"] == 1
-
-
-def test_a_goal_out_of_reach_gets_an_empty_path():
-    link, fates = asked(goal_message(0, np.array([4.5, 1.0])), room())
-    assert fates["no_path"] == 1
     assert link.last(PLAN_TOPIC).poses == []
 
 

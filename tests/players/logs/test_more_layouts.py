@@ -47,15 +47,10 @@ def _hope(folder):
     return folder
 
 
-def test_a_replica_folder_is_the_scene(tmp_path):
-    source = open_source(_replica(tmp_path / "room0"))
-    assert source.info.kind == "Replica folder"
-    _assert_scene(source)
-
-
-def test_a_hope_folder_is_the_scene(tmp_path):
-    source = open_source(_hope(tmp_path / "hope"))
-    assert source.info.kind == "HOPE folder"
+@pytest.mark.parametrize(("write", "kind"), [(_replica, "Replica folder"), (_hope, "HOPE folder")])
+def test_a_folder_of_a_data_set_is_the_scene(tmp_path, write, kind):
+    source = open_source(write(tmp_path / "log"))
+    assert source.info.kind == kind
     _assert_scene(source)
 
 

@@ -111,23 +111,17 @@ def test_noise_is_refused_and_never_crashes(data):
     assert compressed_size(data) is None or isinstance(compressed_size(data), tuple)
 
 
-def test_depth_png_has_its_units_and_no_returns():
+def test_depth_png_has_its_units_and_needs_16_bits():
     raw = np.array([[0, 5000], [65535, 10000]], dtype=np.uint16)
     depth = decode_depth_png(scenes.png_bytes(raw), 5000.0, "depth")
     np.testing.assert_allclose(depth, [[np.nan, 1.0], [np.nan, 2.0]], rtol=1e-6)
-
-
-def test_an_8_bit_depth_image_is_refused():
     with pytest.raises(RecordingError, match="uint8 with 1 channels; depth must be 16 bits"):
         decode_depth_png(scenes.png_bytes(np.zeros((3, 3), dtype=np.uint8)), 1000.0, "depth")
 
 
-def test_the_png_of_compressed_depth_is_found_after_any_header():
+def test_the_png_of_compressed_depth_is_found_or_missed():
     data = scenes.png_bytes(np.ones((3, 3), dtype=np.uint16))
     assert png_part(bytes(12) + data, "depth") == png_part(data, "depth") == data
-
-
-def test_compressed_depth_without_a_png_is_refused():
     with pytest.raises(RecordingError, match="depth holds no PNG"):
         png_part(bytes(40), "depth")
 
