@@ -5,7 +5,7 @@ from hickory_stream.geometry.mesh import (
     Mesh,
     face_areas_m2,
     is_closed,
-    read_glb,
+    mesh_of_glb,
     sample_surface,
     sha256_of,
     volume_m3,
@@ -49,7 +49,7 @@ def test_samples_lie_on_their_faces_and_follow_the_area():
 
 def test_a_glb_keeps_shape_colours_and_what_was_seen(tmp_path):
     write_glb(BOX, tmp_path / "box.glb")
-    again = read_glb(tmp_path / "box.glb")
+    again = mesh_of_glb((tmp_path / "box.glb").read_bytes())
     assert sha256_of(again) == sha256_of(BOX)
 
 

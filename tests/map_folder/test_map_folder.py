@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hickory_stream.errors import HickoryError, MapFolderError
 from hickory_stream.geometry.lazy_arrays import has_given_up
-from hickory_stream.geometry.mesh import read_glb
+from hickory_stream.geometry.mesh import mesh_of_glb
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.manifest import FORMAT_VERSION
 from hickory_stream.map_folder.saved_map import open_map
@@ -44,7 +44,7 @@ def test_a_saved_map_opens_as_the_map_that_was_saved(tmp_path):
     assert np.array_equal(space.free, expected.free)
     assert np.array_equal(space.structure, expected.structure)
     shape = saved.snapshot.objects[0].shape
-    assert len(saved.mesh(shape).faces) == len(read_glb(saved.mesh_path(shape)).faces) == 48
+    assert len(saved.mesh(shape).faces) == len(mesh_of_glb(saved.mesh_path(shape).read_bytes()).faces) == 48
 
 
 def test_a_map_that_saved_nothing_yet_opens_empty(tmp_path):

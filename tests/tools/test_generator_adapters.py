@@ -38,7 +38,7 @@ def test_the_known_object_comes_out_where_and_as_it_is(name):
 def test_one_wrong_axis_is_found(name, constant, axis, monkeypatch):
     real = adapter_fakes.faked
 
-    def altered(which: str):  # type: ignore[no-untyped-def]
+    def altered(which):
         context = real(which)
         module = context.__enter__()
         table = np.array(getattr(module, constant))
@@ -51,17 +51,17 @@ def test_one_wrong_axis_is_found(name, constant, axis, monkeypatch):
 
 
 class _Entered:
-    def __init__(self, context: object, module: object) -> None:
+    def __init__(self, context, module):
         self._context, self._module = context, module
 
-    def __enter__(self) -> object:
+    def __enter__(self):
         return self._module
 
-    def __exit__(self, *error: object) -> None:
-        self._context.__exit__(*error)  # type: ignore[attr-defined]
+    def __exit__(self, *error):
+        self._context.__exit__(*error)
 
 
-def _needs_of(name: str) -> None:
+def _needs_of(name):
     if name == "foundationpose_onnx":
         pytest.importorskip("embreex", reason="it has no wheel for Linux on ARM")
 
@@ -76,7 +76,7 @@ def test_a_refiner_says_where_the_known_object_lies(name):
 def test_one_wrong_axis_of_a_refiner_is_found(axis, monkeypatch):
     real = adapter_fakes.faked
 
-    def altered(which: str):  # type: ignore[no-untyped-def]
+    def altered(which):
         context = real(which)
         module = context.__enter__()
         module.CAMERA_FROM_OPENCV = np.diag([-1.0 if i == axis else 1.0 for i in range(3)])
