@@ -96,20 +96,21 @@ def demo_truth():
     return ROOT / "recordings" / "demo.truth"
 
 
+def shared_data(name, content):
+    folder = ROOT.parent / "shared" / "data" / name
+    if not folder.is_dir():
+        pytest.skip(f"needs the {content} in {name} beside the checkout")
+    return folder
+
+
 @pytest.fixture(scope="session")
 def redkitchen():
-    folder = ROOT.parent / "shared" / "data" / "redkitchen"
-    if not folder.is_dir():
-        pytest.skip(f"needs the 7-Scenes frames in {folder.name} beside the checkout")
-    return folder
+    return shared_data("redkitchen", "7-Scenes frames")
 
 
 @pytest.fixture(scope="session")
 def mosd():
-    folder = ROOT.parent / "shared" / "data" / "mosd"
-    if not folder.is_dir():
-        pytest.skip(f"needs the labelled clouds in {folder.name} beside the checkout")
-    return folder
+    return shared_data("mosd", "labelled clouds")
 
 
 def made_once(factory, name, make):

@@ -90,33 +90,19 @@ def test_a_cluster_makes_the_same_map_as_child_processes(tmp_path, undisturbed_r
     assert away.folder.manifest.is_reproducible
 
 
-def test_a_worker_that_is_lost_in_mid_job_loses_no_job(tmp_path):
+@pytest.mark.parametrize("is_scheduler_lost", [False, True])
+def test_a_worker_or_a_scheduler_that_is_lost_in_mid_job_loses_no_job(tmp_path, is_scheduler_lost):
     folders = jobs(tmp_path, 4)
 
     async def run(address, processes):
         async with DaskWorkers(address, LIMITS) as workers:
             answers = [workers.submit(folder) for folder in folders]
             await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
-            await asyncio.to_thread(end, processes[1])
-            processes.append(dask(*WORKER, address))
-            return await asyncio.gather(*answers)
-
-    with cluster() as (address, processes):
-        assert asyncio.run(run(address, processes)) == [None] * 4
-    assert len(hashes(folders, tmp_path)) == 1
-
-
-def test_a_scheduler_that_is_lost_and_regained_loses_no_job(tmp_path):
-    folders = jobs(tmp_path, 4)
-
-    async def run(address, processes):
-        async with DaskWorkers(address, LIMITS) as workers:
-            answers = [workers.submit(folder) for folder in folders]
-            await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
-            for process in processes:
+            for process in processes if is_scheduler_lost else processes[1:]:
                 await asyncio.to_thread(end, process)
-            port = int(address.rpartition(":")[2])
-            processes[:] = [await asyncio.to_thread(scheduler, port), dask(*WORKER, address)]
+            if is_scheduler_lost:
+                processes.append(await asyncio.to_thread(scheduler, int(address.rpartition(":")[2])))
+            processes.append(dask(*WORKER, address))
             return await asyncio.gather(*answers)
 
     with cluster() as (address, processes):
