@@ -7,7 +7,7 @@ import pytest
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.camera import backproject
-from hickory_stream.geometry.mesh import Mesh, is_closed, volume_m3
+from hickory_stream.geometry.mesh import is_closed, volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.ray_caster import ray_caster
 from hickory_stream.worlds.clearance import clearance_among
@@ -15,6 +15,7 @@ from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.object_models import model_triangles
 from hickory_stream.worlds.scene import part_boxes
 from hickory_stream.worlds.trajectory import WalkConfig
+from tests.shapes.shape_fixtures import as_mesh
 from tools.worlds.cache import cached_recording, recording_name
 from tools.worlds.clutter.contents import CONTENTS
 from tools.worlds.clutter.floorplan import OUTLINES
@@ -53,16 +54,6 @@ def test_every_recipe_is_listed_and_every_name_has_one():
     assert told["contents"] == set(CONTENTS)
     assert told["groups"] == set(GROUPS)
     assert told["outlines"] == set(OUTLINES)
-
-
-def as_mesh(part):
-    count = len(part.vertices)
-    return Mesh(
-        vertices=part.vertices.astype(np.float32),
-        faces=part.faces,
-        colors=np.zeros((count, 3), dtype=np.uint8),
-        is_seen=np.ones(count, dtype=bool),
-    )
 
 
 @pytest.mark.parametrize("name", sorted(SHAPES))

@@ -4,11 +4,12 @@ from collections import Counter
 from itertools import pairwise
 import numpy as np
 import pytest
-from hickory_stream.geometry.mesh import Mesh, is_closed
+from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.worlds.clearance import clearance_of
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.trajectory import NoWalk, WalkConfig
+from tests.shapes.shape_fixtures import as_mesh
 from tools.worlds.outdoor import street_things
 from tools.worlds.outdoor.street import street
 from tools.worlds.outdoor.walk import outdoors, stroll
@@ -35,13 +36,7 @@ def test_outdoor_things_are_closed_and_face_outwards(recipe):
         assert -0.45 < lower[2] <= 0.05
         assert upper[2] > 0.2
         for part in model.parts:
-            mesh = Mesh(
-                vertices=part.vertices.astype(np.float32),
-                faces=part.faces,
-                colors=np.zeros((len(part.vertices), 3), dtype=np.uint8),
-                is_seen=np.ones(len(part.vertices), dtype=bool),
-            )
-            assert is_closed(mesh)
+            assert is_closed(as_mesh(part))
             a, b, c = (part.vertices[part.faces[:, i]] for i in range(3))
             assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
 

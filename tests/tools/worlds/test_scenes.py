@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of
-from hickory_stream.geometry.mesh import Mesh, is_closed
+from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import is_rigid, rotation_angle_rad
 from hickory_stream.worlds.clearance import clearance_of
 from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.trajectory import Trajectory
+from tests.shapes.shape_fixtures import as_mesh
 from tools.worlds import big_things, table_things
 from tools.worlds.apartment import apartment
 from tools.worlds.cache import cached_recording
@@ -37,15 +38,7 @@ def apartments():
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
 def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind):
     model = kind(np.random.default_rng(3))
-    for part in model.parts:
-        count = len(part.vertices)
-        mesh = Mesh(
-            vertices=part.vertices.astype(np.float32),
-            faces=part.faces,
-            colors=np.zeros((count, 3), dtype=np.uint8),
-            is_seen=np.ones(count, dtype=bool),
-        )
-        assert is_closed(mesh)
+    assert all(is_closed(as_mesh(part)) for part in model.parts)
     assert model.bounds_m()[0, 2] == pytest.approx(0.0, abs=0.006)
 
 
