@@ -10,7 +10,10 @@ from functools import cached_property, lru_cache, partial, reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import Camera, backproject
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 
 SCENE_CAMERA = Camera(width=240, height=180, fx=210.0, fy=210.0, cx=119.5, cy=89.5)
@@ -69,6 +72,23 @@ def cast_scene(
         (palette[instances] * shade[..., None]).astype(np.uint8),
         np.where(np.isfinite(depth), depth, np.nan).astype(np.float32),
         instances,
+    )
+
+
+def shape_inputs(boxes: Sequence[SceneBox], frames: Sequence[int]) -> ShapeInputs:
+    """Return what some frames of the scene see of boxes that are one object."""
+    crops = []
+    for index in frames:
+        pose = scene_pose(index)
+        rgb, depth_m, instances = cast_scene(boxes, SCENE_CAMERA, pose)
+        crops.append(Crop(rgb=rgb, depth_m=depth_m, mask=instances > 0, camera=SCENE_CAMERA, world_from_camera=pose))
+    points = np.concatenate([apply(c.world_from_camera, backproject(c.depth_m, c.camera)[c.mask]) for c in crops])
+    return ShapeInputs(
+        crops=tuple(crops),
+        points_world=points.astype(np.float32),
+        colors=np.concatenate([crop.rgb[crop.mask] for crop in crops]),
+        box=gravity_aligned_box(points, 0.005),
+        support_z_m=0.0,
     )
 
 

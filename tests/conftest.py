@@ -3,12 +3,11 @@
 import asyncio
 import fcntl
 import gc
+import inspect
 import json
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 import pytest
 from hypothesis import settings
 
@@ -25,7 +24,7 @@ settings.load_profile("default")
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
+def pytest_sessionstart(session):
     """Compile what has changed before the tests of the whole project, so that no test's time goes to the compiler."""
     if session.config.args == session.config.getini("testpaths"):
         from hickory_stream.engine.first_run import compile_kernels  # not for the single test that needs no kernel
@@ -33,10 +32,18 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         asyncio.run(compile_kernels(lambda done, total: None))
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Take what was collected out of the garbage collector, which else goes through all of it again and again."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_pyfunc_call(pyfuncitem):
+    """Run a test that is a coroutine in a loop of its own."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}))
+    return True
 
 
 COARSE_SHAPES = """\
@@ -58,20 +65,20 @@ joint_samples = 500
 """
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Begin with what takes minutes, so that no processor waits for it at the end."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @pytest.fixture(autouse=True)
-def _outputs_keep_to_their_form(monkeypatch: pytest.MonkeyPatch) -> None:
+def _outputs_keep_to_their_form(monkeypatch):
     """Hold whatever a command prints with `--json`, in any test, against its schema."""
     from hickory_stream import outputs
     from tests.output_forms import checked
 
     write = outputs.dumps
 
-    def dumps(data: Any, *, indent: int | None = None) -> str:
+    def dumps(data, *, indent=None):
         text = write(data, indent=indent)
         checked(json.loads(text))
         return text
@@ -80,32 +87,33 @@ def _outputs_keep_to_their_form(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def demo_log() -> Path:
+def demo_log():
     return ROOT / "recordings" / "demo.mcap"
 
 
 @pytest.fixture(scope="session")
-def demo_truth() -> Path:
+def demo_truth():
     return ROOT / "recordings" / "demo.truth"
 
 
-@pytest.fixture(scope="session")
-def redkitchen() -> Path:
-    folder = ROOT.parent / "shared" / "data" / "redkitchen"
+def shared_data(name, content):
+    folder = ROOT.parent / "shared" / "data" / name
     if not folder.is_dir():
-        pytest.skip(f"needs the 7-Scenes frames in {folder.name} beside the checkout")
+        pytest.skip(f"needs the {content} in {name} beside the checkout")
     return folder
 
 
 @pytest.fixture(scope="session")
-def mosd() -> Path:
-    folder = ROOT.parent / "shared" / "data" / "mosd"
-    if not folder.is_dir():
-        pytest.skip(f"needs the labelled clouds in {folder.name} beside the checkout")
-    return folder
+def redkitchen():
+    return shared_data("redkitchen", "7-Scenes frames")
 
 
-def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+@pytest.fixture(scope="session")
+def mosd():
+    return shared_data("mosd", "labelled clouds")
+
+
+def made_once(factory, name, make):
     """Return the path that the first process of this test run made; the other processes wait for it."""
     root = factory.getbasetemp()
     root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
@@ -119,13 +127,13 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 
 @pytest.fixture(scope="session")
-def short_log(demo_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short_log(demo_log, tmp_path_factory):
     """The first three seconds of the demo: 18 frames."""
     return made_once(tmp_path_factory, "short.mcap", lambda path: copy_log(demo_log, path, seconds=3.0))
 
 
 @pytest.fixture(scope="session")
-def coarse_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def coarse_config(tmp_path_factory):
     """A configuration file with which a shape takes a tenth of a second instead of one."""
     path = tmp_path_factory.mktemp("config") / "coarse.toml"
     path.write_text(COARSE_SHAPES)
@@ -133,11 +141,11 @@ def coarse_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def short_map(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short_map(short_log, coarse_config, tmp_path_factory):
     """The map of the first three seconds of the demo, as the command line makes it; not to be changed."""
     from tests.cli.test_cli import EAGER, look
 
-    def make(out: Path) -> None:
+    def make(out):
         ended = look("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", out, *EAGER)
         assert ended.status == 0, ended.stderr
 
@@ -145,14 +153,14 @@ def short_map(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.Tem
 
 
 @pytest.fixture(scope="session")
-def undisturbed_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def undisturbed_run(tmp_path_factory):
     """The run of the scene by one worker, which nobody disturbs; its folder is not to be changed."""
     from tests.engine.run_fixtures import map_scene
 
     return map_scene(tmp_path_factory.mktemp("undisturbed"), child_workers=True)
 
 
-def copy_log(source: Path, target: Path, *, seconds: float) -> Path:
+def copy_log(source, target, *, seconds):
     """Write the beginning of an MCAP file to another one."""
     from mcap.reader import make_reader
     from mcap.writer import Writer
@@ -162,9 +170,8 @@ def copy_log(source: Path, target: Path, *, seconds: float) -> Path:
         summary = reader.get_summary()
         end_ns = summary.statistics.message_start_time + int(seconds * 1e9)
         writer.start(profile="ros2")
-        channels: dict[int, int] = {}
+        channels = {}
         for schema, channel, message in reader.iter_messages(ending_before=end_ns):
-            assert schema is not None
             if channel.id not in channels:
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)

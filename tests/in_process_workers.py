@@ -6,8 +6,6 @@ as one: conformance/test_workers_conformance.py.
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Self
 from hickory_stream.engine.shape_jobs.worker import serve
 
 
@@ -17,22 +15,22 @@ class InProcessWorkers:
     num_limits = 0
     num_alive = 1
 
-    def __init__(self) -> None:
+    def __init__(self):
         self._thread = ThreadPoolExecutor(1, "shapes")
-        self._open: set[asyncio.Future[str | None]] = set()
+        self._open = set()
 
-    async def __aenter__(self) -> Self:
+    async def __aenter__(self):
         return self
 
-    async def __aexit__(self, *_: object) -> None:
+    async def __aexit__(self, *_):
         await asyncio.to_thread(self._thread.shutdown, cancel_futures=True)
 
     @property
-    def num_open(self) -> int:
+    def num_open(self):
         return len(self._open)
 
-    def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+    def submit(self, folder):
+        answer = asyncio.get_running_loop().create_future()
         self._open.add(answer)
         answer.add_done_callback(self._open.discard)
         job = asyncio.wrap_future(self._thread.submit(_served, folder, answer))
@@ -40,10 +38,10 @@ class InProcessWorkers:
         return answer
 
 
-def _served(folder: Path, answer: asyncio.Future[str | None]) -> str | None:
+def _served(folder, answer):
     return None if answer.cancelled() else serve(folder)
 
 
-def _hand_over(done: asyncio.Future[str | None], answer: asyncio.Future[str | None]) -> None:
+def _hand_over(done, answer):
     if not answer.done() and not done.cancelled():
         answer.set_result(done.result())

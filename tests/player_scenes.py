@@ -5,9 +5,7 @@ camera, so that what a player yields can be compared with what a camera at that 
 """
 
 import json
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 import cv2
 import numpy as np
@@ -40,7 +38,7 @@ class SceneFrame:
     depth_mm: NDArray[np.uint16]
 
     @property
-    def depth_m(self) -> NDArray[np.float32]:
+    def depth_m(self):
         depth = self.depth_mm.astype(np.float32) * np.float32(0.001)
         depth[self.depth_mm == 0] = np.nan
         return depth
@@ -55,14 +53,14 @@ class Message:
     message: Any
 
 
-def pose_at(stamp_ns: int) -> NDArray[np.float64]:
+def pose_at(stamp_ns):
     """Return world_from_camera of a camera that walks along x and turns slowly; z is up in the world."""
     s = (stamp_ns - START_NS) / 1e9
     world_from_body = from_rotation_translation(yaw_rotation(0.3 * s), np.array([0.2 * s, 0.1 * s, 0.9]))
     return world_from_body @ BODY_FROM_CAMERA
 
 
-def cast(camera: Camera, world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def cast(camera, world_from_camera):
     """Return colour (H, W, 3) and depth (H, W) along the optical axis; depth is infinite where nothing is hit."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
@@ -77,7 +75,7 @@ def cast(camera: Camera, world_from_camera: NDArray[np.float64]) -> tuple[NDArra
     return np.where(np.isfinite(depth)[..., None], waves, 30).astype(np.uint8), depth
 
 
-def make_scene(camera: Camera = CAMERA, num_frames: int = NUM_FRAMES) -> list[SceneFrame]:
+def make_scene(camera=CAMERA, num_frames=NUM_FRAMES):
     """Return the frames; depth ends at 3.5 m, as a depth camera's does."""
     frames = []
     for i in range(num_frames):
@@ -88,7 +86,7 @@ def make_scene(camera: Camera = CAMERA, num_frames: int = NUM_FRAMES) -> list[Sc
     return frames
 
 
-def write_seven_scenes(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
+def write_seven_scenes(folder, frames, camera=CAMERA):
     """Write a registered 7-Scenes folder whose world is tilted by 30 degrees about x."""
     folder.mkdir(parents=True)
     log_from_world = np.eye(4)
@@ -103,7 +101,7 @@ def write_seven_scenes(folder: Path, frames: list[SceneFrame], camera: Camera = 
     return folder
 
 
-def write_tum(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
+def write_tum(folder, frames, camera=CAMERA):
     """Write a TUM RGB-D folder; depth is stamped 7 ms later, poses lie between the images."""
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
@@ -124,7 +122,7 @@ def write_tum(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -
     return folder
 
 
-def write_posed_folder(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
+def write_posed_folder(folder, frames, camera=CAMERA):
     """Write `rgb/ depth/ cam_params.json camera_poses.txt`."""
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
@@ -142,7 +140,7 @@ def write_posed_folder(folder: Path, frames: list[SceneFrame], camera: Camera = 
 class Messages:
     """Builds ROS messages of one version: `ros` is 1 or 2."""
 
-    def __init__(self, ros: int) -> None:
+    def __init__(self, ros):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self.ros = ros
@@ -151,15 +149,15 @@ class Messages:
             tf_message = "geometry_msgs/TransformStamped[] transforms"
             self.store.register(get_types_from_msg(tf_message, "tf2_msgs/msg/TFMessage"))
 
-    def make(self, type_name: str, **fields: Any) -> Any:
+    def make(self, type_name, **fields):
         return self.store.types[type_name](**fields)
 
-    def header(self, stamp_ns: int, frame: str) -> Any:
+    def header(self, stamp_ns, frame):
         stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
         sequence = {"seq": 0} if self.ros == 1 else {}
         return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
 
-    def image(self, stamp_ns: int, frame: str, encoding: str, pixels: NDArray[Any], padding: int = 0) -> Any:
+    def image(self, stamp_ns, frame, encoding, pixels, padding=0):
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
         data = np.pad(rows, ((0, 0), (0, padding)))
         return self.make(
@@ -167,7 +165,7 @@ class Messages:
             encoding=encoding, is_bigendian=int(pixels.dtype.byteorder == ">"), step=data.shape[1], data=data.ravel(),
         )  # fmt: skip
 
-    def compressed(self, stamp_ns: int, frame: str, image_format: str, data: bytes) -> Any:
+    def compressed(self, stamp_ns, frame, image_format, data):
         return self.make(
             "sensor_msgs/msg/CompressedImage",
             header=self.header(stamp_ns, frame),
@@ -175,7 +173,7 @@ class Messages:
             data=np.frombuffer(data, dtype=np.uint8),
         )
 
-    def camera_info(self, stamp_ns: int, frame: str, camera: Camera, distortion: Iterable[float] = (0.0,) * 5) -> Any:
+    def camera_info(self, stamp_ns, frame, camera, distortion=(0.0,) * 5):
         region = self.make(
             "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
@@ -191,7 +189,7 @@ class Messages:
             **{name.upper() if self.ros == 1 else name: value for name, value in matrices.items()},
         )  # fmt: skip
 
-    def pose(self, a_from_b: NDArray[np.float64]) -> Any:
+    def pose(self, a_from_b):
         x, y, z, qx, qy, qz, qw = pose_row(a_from_b)
         position = self.make("geometry_msgs/msg/Point", x=x, y=y, z=z)
         return self.make(
@@ -200,11 +198,11 @@ class Messages:
             orientation=self.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
         )
 
-    def pose_stamped(self, stamp_ns: int, parent: str, a_from_b: NDArray[np.float64]) -> Any:
+    def pose_stamped(self, stamp_ns, parent, a_from_b):
         header = self.header(stamp_ns, parent)
         return self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self.pose(a_from_b))
 
-    def odometry(self, stamp_ns: int, parent: str, child: str, parent_from_child: NDArray[np.float64]) -> Any:
+    def odometry(self, stamp_ns, parent, child, parent_from_child):
         zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
         pose = self.pose(parent_from_child)
@@ -216,7 +214,7 @@ class Messages:
             twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )
 
-    def tf(self, stamp_ns: int, *links: tuple[str, str, NDArray[np.float64]]) -> Any:
+    def tf(self, stamp_ns, *links):
         transforms = []
         for parent, child, parent_from_child in links:
             pose = self.pose(parent_from_child)
@@ -243,7 +241,7 @@ PNG_DEPTH = "/cam/aligned_depth/image_rect/compressedDepth"
 OPTICAL = "cam_optical"
 
 
-def raw_images(m: Messages, frame: SceneFrame) -> list[Message]:
+def raw_images(m, frame):
     """Return bgra8 colour with padded rows and 32FC1 depth in metres with NaN."""
     bgra = np.dstack([frame.rgb[..., ::-1], np.full(frame.depth_mm.shape, 255, dtype=np.uint8)])
     return [
@@ -254,7 +252,7 @@ def raw_images(m: Messages, frame: SceneFrame) -> list[Message]:
     ]
 
 
-def png_images(m: Messages, frame: SceneFrame) -> list[Message]:
+def png_images(m, frame):
     """Return PNG colour and compressedDepth in millimetres, stamped 9 ms later."""
     color = m.compressed(frame.stamp_ns, OPTICAL, "bgra8; png compressed bgr8", png_bytes(frame.rgb[..., ::-1]))
     late_ns = frame.stamp_ns + 9_000_000
@@ -266,13 +264,7 @@ def png_images(m: Messages, frame: SceneFrame) -> list[Message]:
     ]
 
 
-def scene_messages(
-    m: Messages,
-    frames: list[SceneFrame],
-    images: Callable[[Messages, SceneFrame], list[Message]],
-    *,
-    with_odometry: bool = True,
-) -> list[Message]:
+def scene_messages(m, frames, images, *, with_odometry=True):
     """Return all messages of a log in the order of time: images, calibration, and poses by odometry or by TF alone."""
     statics = m.tf(0, ("base_link", "cam_link", np.eye(4)), ("cam_link", OPTICAL, BODY_FROM_CAMERA))
     messages = [Message(topic="/tf_static", stamp_ns=START_NS - 200_000_000, message=statics)]
@@ -292,44 +284,46 @@ def scene_messages(
     return sorted(messages, key=lambda message: message.stamp_ns)
 
 
-def write_ros1(path: Path, m: Messages, messages: list[Message]) -> Path:
-    """Write a ROS 1 bag, recorded two minutes late by the clock of the recorder."""
+def write_ros1(path, m, messages, *, late_ns=120_000_000_000, compression=None):
+    """Write a ROS 1 bag, recorded two minutes late by the clock of the recorder, or by another time."""
     from rosbags.rosbag1 import Writer
 
-    with Writer(path) as writer:
-        connections: dict[str, Any] = {}
-        for entry in messages:
-            name = entry.message.__msgtype__
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(entry.topic, name, typestore=m.store)
-            data = m.store.serialize_ros1(entry.message, name)
-            writer.write(connections[entry.topic], entry.stamp_ns + 120_000_000_000, data)
-    return path
+    writer = Writer(path)
+    if compression is not None:
+        writer.set_compression(Writer.CompressionFormat[compression.upper()])
+    return _written(path, writer, m, messages, m.store.serialize_ros1, late_ns)
 
 
-def write_ros2(path: Path, m: Messages, messages: list[Message], storage: str = "sqlite3") -> Path:
-    """Write a ROS 2 bag folder with `storage` sqlite3 or mcap."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def write_ros2(path, m, messages, storage="sqlite3", *, compression=None):
+    """Write a ROS 2 bag folder with `storage` sqlite3 or mcap; Zstandard packs each MESSAGE or FILE."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
-        connections: dict[str, Any] = {}
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    if compression is not None:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    return _written(path, writer, m, messages, m.store.serialize_cdr)
+
+
+def _written(path, writer, m, messages, serialize, late_ns=0):
+    with writer:
+        connections = {}
         for entry in messages:
             name = entry.message.__msgtype__
             if entry.topic not in connections:
                 connections[entry.topic] = writer.add_connection(entry.topic, name, typestore=m.store)
-            writer.write(connections[entry.topic], entry.stamp_ns, m.store.serialize_cdr(entry.message, name))
+            writer.write(connections[entry.topic], entry.stamp_ns + late_ns, serialize(entry.message, name))
     return path
 
 
-def write_mcap(path: Path, m: Messages, messages: list[Message], **settings: Any) -> Path:
+def write_mcap(path, m, messages, **settings):
     """Write a bare MCAP file; `settings` go to the writer of the `mcap` package."""
     from mcap.writer import Writer
 
     with path.open("wb") as stream:
         writer = Writer(stream, **settings)
         writer.start(profile="ros2")
-        channels: dict[str, int] = {}
+        channels = {}
         for entry in messages:
             name = entry.message.__msgtype__
             if entry.topic not in channels:
@@ -342,44 +336,44 @@ def write_mcap(path: Path, m: Messages, messages: list[Message], **settings: Any
     return path
 
 
-def pose_row(a_from_b: NDArray[np.float64]) -> list[float]:
+def pose_row(a_from_b):
     """Return tx ty tz qx qy qz qw."""
     return [*a_from_b[:3, 3].tolist(), *quaternion_from_rotation(a_from_b[:3, :3]).tolist()]
 
 
-def seconds(stamp_ns: int) -> str:
+def seconds(stamp_ns):
     """Return a stamp in seconds with all its digits."""
     return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
 
 
-def png_bytes(image: NDArray[Any]) -> bytes:
+def png_bytes(image):
     """Return an image (BGR or one channel) as a PNG."""
     return bytes(cv2.imencode(".png", np.ascontiguousarray(image))[1])
 
 
-def jpeg_bytes(image: NDArray[Any]) -> bytes:
+def jpeg_bytes(image):
     """Return an image (BGR) as a JPEG."""
     return bytes(cv2.imencode(".jpg", np.ascontiguousarray(image))[1])
 
 
-def write_png(path: Path, image: NDArray[Any]) -> None:
+def write_png(path, image):
     """Write an image (BGR or one channel)."""
     path.write_bytes(png_bytes(image))
 
 
-def _plane(eye: NDArray[Any], rays: NDArray[Any], axis: int, at: float) -> NDArray[Any]:
+def _plane(eye, rays, axis, at):
     t = (at - eye[axis]) / rays[..., axis]
     return np.where(t > 0, t, np.inf)
 
 
-def _ball(eye: NDArray[Any], rays: NDArray[Any]) -> NDArray[Any]:
+def _ball(eye, rays):
     to_eye = eye - np.array([2.0, 0.5, 0.6])
     a, b = (rays**2).sum(-1), rays @ to_eye
     root = b**2 - a * (to_eye @ to_eye - 0.3**2)
     return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
 
 
-def _box(eye: NDArray[Any], rays: NDArray[Any]) -> NDArray[Any]:
+def _box(eye, rays):
     low, high = np.array([1.6, -0.7, 0.0]), np.array([2.2, -0.1, 0.8])
     near, far = (low - eye) / rays, (high - eye) / rays
     entry, leave = np.minimum(near, far).max(-1), np.maximum(near, far).min(-1)

@@ -2,12 +2,11 @@
 
 import numpy as np
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.records import View
 
 coordinate = st.floats(-20, 20)
@@ -16,7 +15,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @st.composite
-def rotations(draw: st.DrawFn) -> NDArray[np.float64]:
+def rotations(draw):
     """Rotations of any axis; none, quarter and half turns, and those just beside them come often."""
     axis = np.array(draw(st.tuples(*[st.floats(-1, 1)] * 3)))
     if np.linalg.norm(axis) < 1e-3:
@@ -27,12 +26,12 @@ def rotations(draw: st.DrawFn) -> NDArray[np.float64]:
 
 
 @st.composite
-def rigid_transforms(draw: st.DrawFn) -> NDArray[np.float64]:
+def rigid_transforms(draw):
     return from_rotation_translation(draw(rotations()), np.array(draw(st.tuples(*[coordinate] * 3))))
 
 
 @st.composite
-def oriented_boxes(draw: st.DrawFn, reach_m: float = 0.6, smallest_m: float = 0.05) -> OrientedBox:
+def oriented_boxes(draw, reach_m=0.6, smallest_m=0.05):
     """Boxes of any orientation with half extents up to 1 m, centred near the origin: two of them mostly overlap."""
     center = np.array(draw(st.tuples(*[st.floats(-reach_m, reach_m)] * 3)))
     half = np.array(draw(st.tuples(*[st.floats(smallest_m, 1.0)] * 3)))
@@ -40,7 +39,7 @@ def oriented_boxes(draw: st.DrawFn, reach_m: float = 0.6, smallest_m: float = 0.
 
 
 @st.composite
-def point_sets(draw: st.DrawFn, max_points: int = 40) -> NDArray[np.float64]:
+def point_sets(draw, max_points=40):
     """A blob, a plane, a line or a spot of at least one point, some of them twice, near the origin or far away."""
     rng = np.random.default_rng(draw(seeds))
     spread = np.array(
@@ -52,7 +51,7 @@ def point_sets(draw: st.DrawFn, max_points: int = 40) -> NDArray[np.float64]:
     return np.asarray(points @ draw(rotations()).T + middle)
 
 
-def integer_cells(largest: int = 2**20 - 2, max_size: int = 60) -> st.SearchStrategy[NDArray[np.int64]]:
+def integer_cells(largest=2**20 - 2, max_size=60):
     """(N, 3) voxel coordinates, negative ones and the ends of the lattice among them."""
     number = st.one_of(st.integers(-3, 3), st.integers(-largest, largest), st.sampled_from([-largest, largest]))
     rows = st.lists(st.tuples(number, number, number), max_size=max_size)
@@ -60,7 +59,7 @@ def integer_cells(largest: int = 2**20 - 2, max_size: int = 60) -> st.SearchStra
 
 
 @st.composite
-def frame_clouds(draw: st.DrawFn, voxel_m: float = 0.01) -> Cloud:
+def frame_clouds(draw, voxel_m=0.01):
     """Clouds of one frame's points in a dense decimetre: two of them share many voxels."""
     rng = np.random.default_rng(draw(seeds))
     count = draw(st.integers(1, 200))
@@ -69,7 +68,7 @@ def frame_clouds(draw: st.DrawFn, voxel_m: float = 0.01) -> Cloud:
 
 
 @st.composite
-def cameras(draw: st.DrawFn) -> Camera:
+def cameras(draw):
     width, height = draw(st.integers(8, 64)), draw(st.integers(8, 64))
     return Camera(
         width=width, height=height, fx=draw(st.floats(10, 900)), fy=draw(st.floats(10, 900)),
@@ -78,7 +77,7 @@ def cameras(draw: st.DrawFn) -> Camera:
 
 
 @st.composite
-def views(draw: st.DrawFn, frame_index: int | None = None) -> View:
+def views(draw, frame_index=None):
     x0, y0 = draw(st.integers(0, 100)), draw(st.integers(0, 100))
     return View(
         object_id=1, frame_index=draw(st.integers(0, 500)) if frame_index is None else frame_index, stamp_ns=0,

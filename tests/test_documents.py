@@ -1,5 +1,3 @@
-from pathlib import Path
-from typing import Any
 import pytest
 from tools.benchmarks.common.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
 from tools.benchmarks.common.figures import Figure
@@ -18,12 +16,12 @@ after
 """
 
 
-def about(commit: str) -> dict[str, Any]:
+def about(commit):
     return {"commit": commit, "date": "2026-11-22", "code": commit, "load": 1.5}
 
 
 @pytest.fixture
-def measured(tmp_path: Path) -> Path:
+def measured(tmp_path):
     figures = [
         Figure(name="speed", value=1.0666, unit="x", better="higher"),
         Figure(name="found", value=21.0, unit="", better="higher"),

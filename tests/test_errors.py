@@ -26,7 +26,7 @@ def test_the_tree_in_the_docstring_is_the_tree():
 
 
 @cache
-def called_names() -> set[str]:
+def called_names():
     """Return every name that the packages call; the classes' own definitions do not count."""
     sources = (file.read_text() for package in ("hickory_stream", "players") for file in (ROOT / package).rglob("*.py"))
     return {name for source in sources for name in re.findall(r"(?<!class )\b(\w+)\(", source)}

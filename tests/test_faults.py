@@ -2,18 +2,17 @@ import numpy as np
 import pytest
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.errors import InputError, RecordingError
-from hickory_stream.records import RawFrame
 from players.faults import FAULTS, Faults, FaultySource, parse_faults
 
 NUM_FRAMES = 12
 
 
-def _frames(seed: int = 3, **faults: float) -> tuple[list[RawFrame], FaultySource]:
+def _frames(seed=3, **faults):
     source = FaultySource(SceneSource(NUM_FRAMES), Faults(**faults), seed)
     return list(source.frames()), source
 
 
-def _numbers(frames: list[RawFrame]) -> list[int]:
+def _numbers(frames):
     return [(frame.stamp_ns - START_NS) // PERIOD_NS for frame in frames]
 
 

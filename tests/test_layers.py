@@ -46,11 +46,11 @@ FILES = sorted(file for package in ("hickory_stream", "players") for file in (RO
 OURS = ("hickory_stream", "players")
 
 
-def module_of(file: Path) -> str:
+def module_of(file):
     return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-def place_of(module: str) -> tuple[int, str]:
+def place_of(module):
     """Return rank and part of a module: those of its longest prefix that has any, the bare package only as itself."""
     names = module.split(".")
     prefixes = [".".join(names[:i]) for i in range(len(names), 0, -1)]
@@ -60,8 +60,8 @@ def place_of(module: str) -> tuple[int, str]:
 
 
 @cache
-def imports_of(file: Path) -> tuple[str, ...]:
-    found: list[str] = []
+def imports_of(file):
+    found = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found += (alias.name for alias in node.names)
@@ -74,12 +74,12 @@ def imports_of(file: Path) -> tuple[str, ...]:
 
 
 @cache
-def is_module(name: str) -> bool:
+def is_module(name):
     path = ROOT.joinpath(*name.split("."))
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-def picture_of_layers() -> str:
+def picture_of_layers():
     """Return the Mermaid block of the main README: a box for each layer, the highest first."""
     boxes = [", ".join(parts).replace("hickory_stream.", "") for parts in LAYERS]
     lines = [f'    L{rank}["{box}"]' for rank, box in enumerate(boxes)]

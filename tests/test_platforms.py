@@ -15,8 +15,8 @@ def asked(tmp_path):
         with zipfile.ZipFile(wheels / f"{name}-1-{tag}.whl", "w") as wheel:
             wheel.writestr(f"{name}-1.dist-info/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
 
-    def ask(machine: str, python: str, lock: str) -> str:
-        path: Path = tmp_path / "some.lock"
+    def ask(machine, python, lock):
+        path = tmp_path / "some.lock"
         path.write_text(lock)
         return obstacle(machine, python, path, "--no-index", "--find-links", str(wheels))
 
@@ -33,7 +33,7 @@ def test_a_package_without_a_wheel_for_the_machine_is_named(asked):
     assert "we only found wheels for `there`" in asked("aarch64", "3.12", MARKERS)
 
 
-def pins(name: str) -> dict[str, str]:
+def pins(name):
     lines = (Path(__file__).resolve().parent.parent / name).read_text().splitlines()
     return dict(line.partition(" ")[0].split("==") for line in lines if "==" in line)
 

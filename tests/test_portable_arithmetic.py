@@ -4,7 +4,6 @@ What is allowed is named with its reason; what is not is done by `hickory_stream
 """
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 import numpy as np
 import pytest
@@ -63,7 +62,7 @@ CV2 = frozenset(
 )
 
 
-def forbidden_in(source: str) -> Iterator[str]:
+def forbidden_in(source):
     """Yield "line: what" for everything in a module that rounds as its processor does."""
     tree = ast.parse(source)
     kernels = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and _is_kernel(node)]
@@ -74,11 +73,11 @@ def forbidden_in(source: str) -> Iterator[str]:
             yield f"{getattr(node, 'lineno', 0)}: {found}"
 
 
-def _is_kernel(function: ast.FunctionDef) -> bool:
+def _is_kernel(function):
     return any("kernel" in ast.unparse(decorator) for decorator in function.decorator_list)
 
 
-def _why_not(node: ast.AST, *, in_kernel: bool) -> str | None:
+def _why_not(node, *, in_kernel):
     match node:
         case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
             return "@: portable.matmul"
@@ -96,17 +95,17 @@ def _why_not(node: ast.AST, *, in_kernel: bool) -> str | None:
             return None
 
 
-def _is_count(node: ast.AST) -> bool:
+def _is_count(node):
     return isinstance(node, ast.Constant) and isinstance(node.value, int)
 
 
-def _outside(module: str, names: set[str]) -> str | None:
+def _outside(module, names):
     part = module.removeprefix("scipy").removeprefix(".")
     known = set(SCIPY) if not part else SCIPY.get(part, set())
     return f"from {module} import {', '.join(sorted(names - known))}" if names - known else None
 
 
-def _why_no_call(name: str, keywords: set[str], in_kernel: bool) -> str | None:
+def _why_no_call(name, keywords, in_kernel):
     first, _, rest = name.partition(".")
     if name.endswith(("njit", "kernel")) and keywords & {"fastmath", "parallel"}:
         return f"{name}: the order of terms is the compiler's"

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.ports import Accounting, Interruptible, Seekable, SourceAround, account_of, interrupt, num_seeks
@@ -17,13 +17,13 @@ class Able(SceneSource):
     num_seeks = 3
     was_interrupted = False
 
-    def interrupt(self) -> None:
+    def interrupt(self):
         self.was_interrupted = True
 
-    def account(self) -> Able:
+    def account(self):
         return self
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self):
         return {"used": 8}
 
 
@@ -32,7 +32,7 @@ def test_abilities_are_those_of_the_innermost_source(depth):
     able, bare = Able(), SceneSource()
     around_able, around_bare = able, bare
     for _ in range(depth):
-        around_able, around_bare = SourceAround(around_able), SourceAround(around_bare)  # type: ignore[assignment]
+        around_able, around_bare = SourceAround(around_able), SourceAround(around_bare)
     assert num_seeks(around_able) == 3
     assert account_of(around_able).as_dict() == {"used": 8}
     interrupt(around_able)

@@ -11,7 +11,7 @@ from tests.conftest import copy_log
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def examples() -> list[str]:
+def examples():
     readme = ROOT / "README.md"
     if not readme.exists():
         pytest.skip("there is no README.md yet")

@@ -1,7 +1,5 @@
 import inspect
-from collections.abc import Iterator
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream import events, ports, records
@@ -24,7 +22,7 @@ _CLOUD = {"points_world": np.zeros((5, 3), np.float32), "colors": np.zeros((5, 3
 _KEYS = np.arange(4)
 
 # fmt: off
-VALID: dict[type, dict[str, Any]] = {
+VALID = {
     boxes.OrientedBox: {"world_from_box": _POSE, "half_extents_m": np.ones(3)},
     superquadric.Superquadrics: {
         "exponents": np.ones((2, 2)), "semi_axes_m": np.ones((2, 3)), "world_from_local": np.stack([_POSE] * 2),
@@ -152,11 +150,11 @@ FREE_LENGTH = {
 }
 
 
-def array_fields(record: type) -> list[str]:
+def array_fields(record):
     return [field.name for field in fields(record) if "ndarray" in str(field.type).lower()]
 
 
-def cases() -> Iterator[Any]:
+def cases():
     for record, values in VALID.items():
         for name in array_fields(record):
             yield pytest.param(record, values, name, id=f"{record.__name__}.{name}")

@@ -40,7 +40,7 @@ esac
 
 
 class Checkout:
-    def __init__(self, folder: Path, version: str = "3.11.7", has_pip: bool = True, has_uv: bool = True) -> None:
+    def __init__(self, folder, version="3.11.7", has_pip=True, has_uv=True):
         self.folder, self.bin, self.venv = folder / "checkout", folder / "bin", folder / "checkout" / ".venv"
         (self.folder / "tools").mkdir(parents=True)
         self.bin.mkdir()
@@ -55,11 +55,11 @@ class Checkout:
         self._program(self.bin / "python3", PYTHON.format(**words))
         self._program(self.folder / "uv", UV)
 
-    def _program(self, path: Path, text: str) -> None:
+    def _program(self, path, text):
         path.write_text(text)
         path.chmod(0o755)
 
-    def set_up(self, group: str = "run", **environment: str) -> tuple[int, str]:
+    def set_up(self, group="run", **environment):
         """Return the exit status and what was printed."""
         home = {"HOME": str(self.folder.parent), "PATH": str(self.bin)}
         command = ["bash", "-c", f"source tools/setup.sh {group}; echo ready"]
@@ -67,14 +67,14 @@ class Checkout:
         done = subprocess.run(command, cwd=self.folder, env=home | environment, check=False, **pipes)
         return done.returncode, done.stdout
 
-    def asked(self) -> str:
+    def asked(self):
         """Return what the installers were asked for since the last time."""
         asked = self.folder / "asked"
         text = asked.read_text() if asked.exists() else ""
         asked.unlink(missing_ok=True)
         return text
 
-    def refused(self, **environment: str) -> str:
+    def refused(self, **environment):
         """Return the one line that says why nothing was set up; nothing unfinished is left."""
         status, told = self.set_up(**environment)
         assert status == 2, told
@@ -86,7 +86,7 @@ class Checkout:
 
 
 @pytest.fixture
-def checkout(tmp_path: Path) -> Checkout:
+def checkout(tmp_path):
     return Checkout(tmp_path)
 
 

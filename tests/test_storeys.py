@@ -1,20 +1,20 @@
 from dataclasses import replace
 import numpy as np
 import pytest
-from hickory_stream.records import MapSnapshot, Submap
+from hickory_stream.records import Submap
 from hickory_stream.storeys import floor_beneath, floor_of, floors_of, newest_floor_of, on_storey
 from tests.navigation.rooms import boxes, seen_room, snapshot, tracked
 
 SPACE = seen_room()
 
 
-def seen_at(submap_id: int, floor_m: float | None, *, raised_m: float = 0.0) -> Submap:
+def seen_at(submap_id, floor_m, *, raised_m=0.0):
     pose = np.eye(4)
     pose[2, 3] = raised_m
     return Submap(id=submap_id, world_from_submap=pose, observed_space=replace(SPACE, floor_z_m=floor_m))
 
 
-def map_of(*submaps: Submap) -> MapSnapshot:
+def map_of(*submaps):
     lamp = boxes(((1.0, 1.0, 2.3), (0.1, 0.1, 0.2)))
     chair, desk = boxes(((1.0, 1.0, 0.4), (0.2, 0.2, 0.4))), boxes(((2.0, 1.0, 3.2), (0.4, 0.4, 0.4)))
     return replace(snapshot(tracked(1, lamp), tracked(2, chair), tracked(3, desk)), submaps=submaps)

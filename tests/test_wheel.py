@@ -49,7 +49,7 @@ def test_the_wheel_makes_and_maps_a_log_outside_the_checkout(tmp_path):
     assert str(venv) in where, "the installed package was used, not the checkout"
 
 
-def _check_demo(told: str, work: Path) -> Path:
+def _check_demo(told, work):
     """Return the map that `demo` made: its objects have all layers, and a log with truth and pictures are beside it."""
     demo = json.loads(told.splitlines()[-1])
     folder = Path("hickory-demo")
@@ -97,7 +97,7 @@ def test_every_machine_gets_one_open3d_and_kiss_icp():
     assert not {"embreex", "open3d-cpu"} & names
 
 
-def _clean_copy(folder: Path) -> Path:
+def _clean_copy(folder):
     """Return a copy of what is needed to build: building in the checkout would leave files in it."""
     copy = folder / "source"
     copy.mkdir()
@@ -108,14 +108,14 @@ def _clean_copy(folder: Path) -> Path:
     return copy
 
 
-def _link_what_it_needs(site: Path) -> None:
+def _link_what_it_needs(site):
     """Put links to what the installed package declares to need into its environment, and to nothing else of ours.
 
     An installation by pip would be the same, and take a minute.
     """
     [installed] = metadata.distributions(name="hickory-stream", path=[str(site)])
     waiting = _needed_by(installed, "")
-    done: set[tuple[str, str]] = set()
+    done = set()
     while waiting:
         needed = waiting.pop()
         distribution = metadata.distribution(needed.name)
@@ -127,12 +127,12 @@ def _link_what_it_needs(site: Path) -> None:
                 (site / name).symlink_to(Path(str(distribution.locate_file(name))))
 
 
-def _needed_by(distribution: metadata.Distribution, extra: str) -> list[Requirement]:
+def _needed_by(distribution, extra):
     needed = [Requirement(line) for line in distribution.requires or ()]
     return [one for one in needed if one.marker is None or one.marker.evaluate({"extra": extra})]
 
 
-def _run(*command: object, cwd: Path) -> str:
+def _run(*command, cwd):
     words = [str(part) for part in command]
     done = subprocess.run(words, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"

@@ -16,14 +16,11 @@ import numpy as np
 from hickory_stream.base.compiled import kernels_folder
 from hickory_stream.base.compiling import on_compile
 from hickory_stream.base.json_text import dumps
-from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneSource, cast_scene, scene_pose
+from hickory_stream.box_scene import SCENE_BOXES, SceneBox, SceneSource, shape_inputs
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.keyframe_places import RegistrationFilter
 from hickory_stream.events import ComputeFeatures, Effect, FeaturesReady
-from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.geometry.rigid import apply
 from hickory_stream.journal.checkpoints import Packer
 from hickory_stream.journal.packed_frames import PackedFrame, packed_frame, unpacked_frame
 from hickory_stream.journal.record_codec import decode, encode
@@ -32,7 +29,7 @@ from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.observe import MILLIMETRE
 from hickory_stream.perception.perceive import features_of, perceive
-from hickory_stream.ports import Crop, FeatureExtractor, Segmenter, ShapeInputs
+from hickory_stream.ports import FeatureExtractor, Segmenter
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
@@ -56,7 +53,7 @@ _COARSE = ShapeConfig(
 def warm_up() -> None:
     """Build two small shapes, to compile or load their kernels; of several processes one compiles."""
     with _one_at_a_time("shapes"):
-        build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
+        build_shape(shape_inputs(_STOOL, _FRAMES), FusedReconstructor(_COARSE.fused), _COARSE)
         fitted_shape(_pipe(), _COARSE.fit)
 
 
@@ -107,24 +104,6 @@ def main(part: str) -> None:
 def _say(kernel: str) -> None:
     sys.stdout.write(dumps({"kernel": kernel}) + "\n")
     sys.stdout.flush()
-
-
-def _inputs() -> ShapeInputs:
-    crops = []
-    for index in _FRAMES:
-        pose = scene_pose(index)
-        rgb, depth_m, instances = cast_scene(_STOOL, SCENE_CAMERA, pose)
-        crops.append(Crop(rgb=rgb, depth_m=depth_m, mask=instances > 0, camera=SCENE_CAMERA, world_from_camera=pose))
-    points = np.concatenate(
-        [apply(crop.world_from_camera, backproject(crop.depth_m, crop.camera)[crop.mask]) for crop in crops]
-    )
-    return ShapeInputs(
-        crops=tuple(crops),
-        points_world=points.astype(np.float32),
-        colors=np.concatenate([crop.rgb[crop.mask] for crop in crops]),
-        box=gravity_aligned_box(points, 0.005),
-        support_z_m=0.0,
-    )
 
 
 def _pipe() -> Mesh:

@@ -172,18 +172,12 @@ def glb_bytes(mesh: Mesh) -> bytes:
     return shown.export(file_type="glb")
 
 
-def read_glb(path: Path) -> Mesh:
-    """Return the mesh of a GLB file; seen everywhere without `_SEEN`, grey without colours.
+def mesh_of_glb(data: bytes) -> Mesh:
+    """Return the mesh in the content of a GLB file; seen everywhere without `_SEEN`, grey without colours.
 
     Raises:
-        OSError: the file cannot be read.
         ValueError: it is no GLB of one mesh of triangles, or its vertices are not finite.
     """
-    return mesh_of_glb(path.read_bytes())
-
-
-def mesh_of_glb(data: bytes) -> Mesh:
-    """Return the mesh in the content of a GLB file; raises ValueError as `read_glb`."""
     arrays = glb_arrays(data)
     vertices, colors, seen = arrays["POSITION"], arrays.get("COLOR_0"), arrays.get("_SEEN")
     if vertices.dtype != np.float32 or vertices.ndim != 2 or not np.isfinite(vertices).all():

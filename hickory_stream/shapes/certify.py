@@ -19,14 +19,7 @@ from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.records import ObjectShape
-from hickory_stream.shapes.inflate.cover import (
-    NET,
-    NET_FACTOR,
-    log_gauge,
-    log_gauge_of_ball,
-    place_of,
-    put,
-)
+from hickory_stream.shapes.inflate.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball, place_of, put
 from hickory_stream.shapes.mesh_validation import used_surface
 from hickory_stream.shapes.sdf import distance_grid
 

@@ -9,9 +9,7 @@ from scipy import ndimage
 from hickory_stream.base.compiled import kernel
 
 
-def pieces_of(
-    cells: NDArray[np.bool_],
-) -> tuple[NDArray[np.int32], NDArray[np.int64], list[tuple[slice, ...]]]:
+def pieces_of(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64], list[tuple[slice, ...]]]:
     """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells."""
     # int32 labels, 0 for other cells; (N,) sizes and bounds.
     labels, count = ndimage.label(cells)

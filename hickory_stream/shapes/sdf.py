@@ -134,9 +134,7 @@ def _fill_crossings(corners, axis, across, up, sums):
                 sums[i, j, k] += sums[i - 1, j, k]
 
 
-def _triangles(
-    corners: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _triangles(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     # The corners, unit normals and areas of the triangles that have a normal.
     a, b, c = corners.transpose(1, 2, 0).copy()
     (ax, ay, az), (bx, by, bz) = b - a, c - a

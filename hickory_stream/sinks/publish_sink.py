@@ -142,14 +142,7 @@ class PublishSink:
     `odom_frame` is the frame of the robot's poses.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        link: ReturnLink,
-        *,
-        odom_frame: str,
-        parts: Collection[str] = PARTS,
-    ) -> None:
+    def __init__(self, robot: Robot, link: ReturnLink, *, odom_frame: str, parts: Collection[str] = PARTS) -> None:
         unknown = sorted(set(parts) - set(PARTS))
         if unknown:
             raise InputError(f"found {unknown[0]} to publish, expected some of {', '.join(PARTS)}")

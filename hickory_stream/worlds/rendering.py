@@ -126,11 +126,7 @@ class Renderer:
         return Probe(depth_m=hit.t, instances=instances, is_within=is_within & is_hit)
 
     def _color(
-        self,
-        camera: Camera,
-        world_from_camera: NDArray[np.float64],
-        rays: NDArray[np.float32],
-        hit: Crossings,
+        self, camera: Camera, world_from_camera: NDArray[np.float64], rays: NDArray[np.float32], hit: Crossings
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return the image, and the specular share (H, W) of its light.
 

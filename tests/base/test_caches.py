@@ -27,20 +27,20 @@ RUN = "from players.outer import five; print(five())"
 
 
 @pytest.fixture
-def no_folder(tmp_path: Path) -> Path:
+def no_folder(tmp_path):
     """A place that cannot be made: below a file. Root may write in folders that are read-only for others."""
     (tmp_path / "file").write_text("")
     return tmp_path / "file" / "cache"
 
 
-def small_package(folder: Path) -> Path:
+def small_package(folder):
     for name, text in KERNELS.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
     return folder
 
 
-def run_python(program: str, *, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(program, *, folder, **environment):
     paths = {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.run(
         [sys.executable, "-c", program], cwd=folder, env={**os.environ, **paths, **environment}, capture_output=True,
@@ -103,7 +103,7 @@ def test_a_temporary_folder_that_others_can_write_is_not_taken(tmp_path, no_fold
     assert caches.cache_root() != trap
 
 
-def write_entry(path: Path, num_bytes: int, used_s: float) -> Path:
+def write_entry(path, num_bytes, used_s):
     path.mkdir(parents=True)
     (path / "data").write_bytes(bytes(num_bytes))
     os.utime(path, (used_s, used_s))
@@ -111,7 +111,7 @@ def write_entry(path: Path, num_bytes: int, used_s: float) -> Path:
 
 
 @pytest.fixture
-def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def kept(tmp_path, monkeypatch):
     monkeypatch.setenv("HICKORY_CACHE", str(tmp_path))
     write_entry(tmp_path / "shapes/aa/aa01", 400_000, 1000.0)
     write_entry(tmp_path / "shapes/bb/bb01", 400_000, 3000.0)

@@ -1,8 +1,7 @@
 import dataclasses
 import json
 import tomllib
-from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import get_args, get_type_hints
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
@@ -15,7 +14,7 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.settings import SET_OFTEN, Settings
 
 
-def leaves(kind: type, where: str = "") -> list[tuple[str, Any]]:
+def leaves(kind, where=""):
     """Return the path and the type of every value of a configuration."""
     found = []
     for name, hint in get_type_hints(kind).items():
@@ -23,7 +22,7 @@ def leaves(kind: type, where: str = "") -> list[tuple[str, Any]]:
     return found
 
 
-def value_at(config: Any, path: str) -> Any:
+def value_at(config, path):
     for name in path.split("."):
         config = getattr(config, name)
     return config
@@ -32,7 +31,7 @@ def value_at(config: Any, path: str) -> Any:
 LEAVES = leaves(Settings)
 
 
-def values_of(path: str, hint: Any) -> st.SearchStrategy[Any]:
+def values_of(path, hint):
     if hint is bool:
         return st.booleans()
     if hint in (int, float):
@@ -45,9 +44,9 @@ def values_of(path: str, hint: Any) -> st.SearchStrategy[Any]:
 
 
 @st.composite
-def settings(draw: st.DrawFn) -> Settings:
+def settings(draw):
     """Draw settings that differ from the defaults in a few values; those that their owner refuses are left out."""
-    data: dict[str, Any] = {}
+    data = {}
     for path, hint in draw(st.lists(st.sampled_from(LEAVES), max_size=8, unique_by=lambda leaf: leaf[0])):
         *sections, key = path.split(".")
         at = data
@@ -62,11 +61,11 @@ def settings(draw: st.DrawFn) -> Settings:
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> Path:
+def file(tmp_path):
     return tmp_path / "robot.toml"
 
 
-def refusal(file: Path, text: str, kind: type = Settings) -> str:
+def refusal(file, text, kind=Settings):
     file.write_text(text)
     with pytest.raises(ConfigError) as caught:
         read_config(kind, file)
@@ -262,7 +261,7 @@ def test_the_voxels_of_an_older_map_keep_their_sizes(old):
 
 
 def test_an_older_configuration_loses_what_is_constant_now():
-    old: dict[str, Any] = {"split": {"min_apart_s": 3.0, "apart_ratio": 2}, "support": {"level_m": 0.15}}
+    old = {"split": {"min_apart_s": 3.0, "apart_ratio": 2}, "support": {"level_m": 0.15}}
     config = from_dict(MapperConfig, with_current_names({"mapping": old}))
     assert config.mapping.split.min_apart_s == 3.0
     old["support"]["level_m"] = 0.2

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 WRITER = ROOT / "hickory_stream" / "base" / "json_text.py"
 
 
-def is_python(file: Path) -> bool:
+def is_python(file):
     return file.suffix == ".py" or (file.suffix == "" and file.read_bytes().startswith(b"#!/usr/bin/env python"))
 
 
@@ -25,7 +25,7 @@ FILES = sorted(
 )
 
 
-def writers_in(source: str) -> list[str]:
+def writers_in(source):
     found = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "json":

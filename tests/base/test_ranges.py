@@ -21,9 +21,9 @@ SUFFIXES = {"m": "m", "m2": "m2", "m3": "m3", "s": "s", "deg": "deg", "rad": "ra
 SUFFIXES |= {"share": "share", "sightings": "sightings", "primitives": "primitives", "cells": "cells"}
 
 
-def kinds_below(kind: type) -> set[type]:
+def kinds_below(kind):
     hints = get_type_hints(kind).values()
-    return {kind}.union(*(kinds_below(hint) for hint in hints if dataclasses.is_dataclass(hint)))  # type: ignore[arg-type]
+    return {kind}.union(*(kinds_below(hint) for hint in hints if dataclasses.is_dataclass(hint)))
 
 
 # What the files of robots and of profiles are read into.
@@ -80,7 +80,7 @@ def test_a_number_that_must_be_whole_is():
     from hickory_stream.config import RunConfig
 
     with pytest.raises(RangeError, match=r"workers is 2\.5; expected a whole number, 1 to 1024 processes"):
-        RunConfig(workers=2.5)  # type: ignore[arg-type]
+        RunConfig(workers=2.5)
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "inf", "-inf", "1e9"])

@@ -1,7 +1,6 @@
 import io
 import re
 import sys
-from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -49,7 +48,7 @@ ESCAPES = {
 
 
 @pytest.fixture(scope="module")
-def hostile_log(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hostile_log(short_log, tmp_path_factory):
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
@@ -72,7 +71,7 @@ def hostile_log(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.fixture(scope="module")
-def hostile_map(hostile_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hostile_map(hostile_log, coarse_config, tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps") / "map\x1b[5m"
     arguments = ["--out", str(folder), "--config", str(coarse_config), "--viewer", "none", "--workers", "1"]
     # Few frames confirm no object, which is status 3.
@@ -80,7 +79,7 @@ def hostile_map(hostile_log: Path, coarse_config: Path, tmp_path_factory: pytest
     return folder
 
 
-def check(capsys: pytest.CaptureFixture[str], *statuses: int, told: str = "") -> None:
+def check(capsys, *statuses, told=""):
     shown = capsys.readouterr()
     for text in shown:
         assert UNSAFE.search(text) is None

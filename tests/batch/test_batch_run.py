@@ -7,13 +7,10 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 import pytest
 from hickory_stream.batch import child, executors, one_log
 from hickory_stream.batch.page import text_of, write_page
-from hickory_stream.batch.result import BatchResult
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.batch.tasks import LogTask, names_of, software
 from hickory_stream.config import MapperConfig
@@ -51,7 +48,7 @@ print(json.dumps({"name": task.name, **(full if task.name == "full" else done)})
 
 
 @pytest.fixture(autouse=True)
-def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+def script(monkeypatch, tmp_path):
     path = tmp_path / "worker.py"
     path.write_text(WORKER.replace("FIELDS", repr([field.name for field in fields(LogTask)])))
     monkeypatch.setattr(child, "COMMAND", (sys.executable, str(path)))
@@ -59,8 +56,8 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def planned(tmp_path: Path) -> Callable[..., BatchPlan]:
-    def plan(*names: str, workers: int = 2) -> BatchPlan:
+def planned(tmp_path):
+    def plan(*names, workers=2):
         logs = [tmp_path / f"{name}.mcap" for name in names]
         for log in logs:
             if not log.exists():
@@ -73,7 +70,7 @@ def planned(tmp_path: Path) -> Callable[..., BatchPlan]:
     return plan
 
 
-def made(plan: BatchPlan) -> list[str]:
+def made(plan):
     return sorted((plan.out / "maps" / "made.txt").read_text().split())
 
 
@@ -91,7 +88,7 @@ def test_a_killed_process_restarts_and_a_dying_one_is_a_row(planned, tmp_path):
     assert told["a"].objects in (0, max(1, len(os.sched_getaffinity(0)) // 2))
 
 
-def _check_table(result: BatchResult, tmp_path: Path) -> None:
+def _check_table(result, tmp_path):
     text = text_of(result).splitlines()
     assert text[0].split()[:3] == ["log", "state", "objects"]
     assert [line.split()[:2] for line in text[1:3]] == [["a", "mapped"], ["kill", "gone"]]
@@ -104,7 +101,7 @@ def _check_table(result: BatchResult, tmp_path: Path) -> None:
 
 def test_mapped_logs_are_kept_and_new_ones_may_follow(planned):
     first = run_batch(planned("a", "b"))
-    said: list[str] = []
+    said = []
     again = run_batch(planned("a", "b", "c"), said.append)
     assert [row.was_there for row in again.rows] == [True, True, False]
     assert [row.digest for row in again.rows[:2]] == [row.digest for row in first.rows]
@@ -154,10 +151,10 @@ def test_logs_of_one_name_get_names_of_their_own():
 
 
 class FakeClient:
-    def __init__(self, answer: dict[str, str] | Exception) -> None:
+    def __init__(self, answer):
         self.answer = answer
 
-    def run(self, _: object) -> dict[str, str]:
+    def run(self, _):
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
@@ -177,7 +174,7 @@ def test_a_cluster_with_other_workers_is_refused(answer, said):
     executors._check_workers(FakeClient({"tcp://w:2": software()}), "tcp://s:1")
 
 
-def task(tmp_path: Path) -> LogTask:
+def task(tmp_path):
     return LogTask(
         name="a", note={"uris": [str(tmp_path / "a.mcap")]}, out=tmp_path / "a.map", mapper=MapperConfig(),
         disk=DiskSinkConfig(), software=software(),
@@ -193,7 +190,7 @@ def test_a_worker_of_another_version_says_so_and_maps_nothing(tmp_path):
 
 @pytest.mark.parametrize(("number", "state"), [(errno.ENOSPC, "disk full"), (errno.EACCES, "failed")])
 def test_a_disk_that_fills_up_is_told_from_other_failures(tmp_path, monkeypatch, number, state):
-    def refuse(*_: object, **__: object) -> None:
+    def refuse(*_, **__):
         try:
             raise OSError(number, os.strerror(number))
         except OSError as error:
@@ -205,7 +202,7 @@ def test_a_disk_that_fills_up_is_told_from_other_failures(tmp_path, monkeypatch,
 
 
 def test_a_damaged_log_is_a_row_that_says_so(tmp_path, monkeypatch):
-    def mapped(task: LogTask, **_: object) -> Played:
+    def mapped(task, **_):
         task.out.mkdir()
         damage = {"damaged_places": 1, "damage": ["a.mcap at byte 7: the file is cut off"]}
         (task.out / "ledger.json").write_text(json.dumps({"messages": damage, "frames": {"keyframes": 9}}))

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from hickory_stream.alignment.object_map import taken
 from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
-from tools.evaluation.simulated_maps.simulate import FleetMaps, FleetMapsConfig, simulate_fleet
+from tools.evaluation.simulated_maps.simulate import FleetMapsConfig, simulate_fleet
 from tools.evaluation.simulated_maps.variants import moved_map, random_frame
 
 
 @pytest.fixture(scope="module")
-def fleet() -> FleetMaps:
+def fleet():
     return simulate_fleet(FleetMapsConfig(num_maps=24, difficulty="easy"), 101)
 
 

@@ -1,4 +1,3 @@
-from collections.abc import Mapping
 import numpy as np
 import pytest
 from hickory_stream.changes.records import Evidence, MapChanges, ObjectChange, Verdict
@@ -14,9 +13,7 @@ from hickory_stream.errors import InputError
 NOTHING = Evidence(free=0.0, structure=0.0, objects=0.0, unseen=0.0, num_clear=0)
 
 
-def day(
-    before: Mapping[int, StayCount], *changes: tuple[Verdict, int | None, int | None, float]
-) -> dict[int, StayCount]:
+def day(before, *changes):
     made = tuple(
         ObjectChange(verdict=verdict, id_a=a, id_b=b, probability=probability, evidence=NOTHING)
         for verdict, a, b, probability in changes

@@ -1,22 +1,15 @@
 """Logs whose images are not as one would have them, through the command line: each is mapped, or says why not."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Literal
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.box_scene import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
 from hickory_stream.cli import main
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.zed_log import COLOR_INFO_TOPIC, COLOR_TOPIC, ZedLog
-
-Change = Callable[[NDArray[np.uint8], NDArray[np.float32]], tuple[NDArray[np.uint8], NDArray[np.float32]]]
-
 
 NUM_FRAMES = 10
 ROOM = (*SCENE_BOXES, SceneBox(low=(-3.0, -3.2, 0.0), high=(3.0, -3.0, 2.4), rgb=(220, 220, 210)))
@@ -24,49 +17,42 @@ BIAS_M = 0.06
 NO_SHAPES = "mapper.mapping.requests.max_failures=0"
 
 
-def black(rgb: Any, depth: Any) -> Any:
+def black(rgb, depth):
     return np.zeros_like(rgb), depth
 
 
-def grey(rgb: Any, depth: Any) -> Any:
+def grey(rgb, depth):
     return np.repeat(rgb.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2), depth
 
 
-def fisheye(rgb: Any, depth: Any) -> Any:
+def fisheye(rgb, depth):
     height, width = depth.shape
     v, u = np.mgrid[:height, :width]
     inside = (u - (width - 1) / 2) ** 2 + (v - (height - 1) / 2) ** 2 < (0.56 * height) ** 2
     return np.where(inside[..., None], rgb, 0).astype(np.uint8), np.where(inside, depth, np.nan).astype(np.float32)
 
 
-def fisheye_color(rgb: Any, depth: Any) -> Any:
+def fisheye_color(rgb, depth):
     return fisheye(rgb, depth)[0], depth
 
 
-def fisheye_depth(rgb: Any, depth: Any) -> Any:
+def fisheye_depth(rgb, depth):
     return rgb, fisheye(rgb, depth)[1]
 
 
-def too_long(rgb: Any, depth: Any) -> Any:
+def too_long(rgb, depth):
     return rgb, (depth + BIAS_M).astype(np.float32)
 
 
-def too_short(rgb: Any, depth: Any) -> Any:
+def too_short(rgb, depth):
     return rgb, (depth - BIAS_M).astype(np.float32)
 
 
-def as_it_is(rgb: Any, depth: Any) -> Any:
+def as_it_is(rgb, depth):
     return rgb, depth
 
 
-def write_log(
-    path: Path,
-    change: Change = as_it_is,
-    camera: Camera = SCENE_CAMERA,
-    *,
-    times: int = 1,
-    colors: Literal["three", "one", "none"] = "three",
-) -> Path:
+def write_log(path, change=as_it_is, camera=SCENE_CAMERA, *, times=1, colors="three"):
     """Write the scene as a ZED records it, each pair of images changed; 10 frames around three boxes before a wall.
 
     It is cast with `camera`, each pixel of which then becomes `times` by `times`. `colors`: the channels of its colour
@@ -88,11 +74,11 @@ def write_log(
 class _Log(ZedLog):
     """A log whose camera may have one channel, or that may lack its colour."""
 
-    def __init__(self, path: Path, camera: Camera, jpeg_quality: int, colors: str) -> None:
+    def __init__(self, path, camera, jpeg_quality, colors):
         super().__init__(path, camera, jpeg_quality)
         self._colors = colors
 
-    def _put(self, topic: str, stamp_ns: int, message: Any) -> None:
+    def _put(self, topic, stamp_ns, message):
         if self._colors == "none" and topic in (COLOR_TOPIC, COLOR_INFO_TOPIC):
             return
         if self._colors == "one" and topic == COLOR_TOPIC:
@@ -102,21 +88,21 @@ class _Log(ZedLog):
         super()._put(topic, stamp_ns, message)
 
 
-def doctor(log: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+def doctor(log, capsys):
     capsys.readouterr()
     main(["doctor", str(log), "--json"])
-    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    told = json.loads(capsys.readouterr().out)
     return told
 
 
-def mapped(log: Path, folder: Path, *overrides: str) -> list[NDArray[np.float64]]:
+def mapped(log, folder, *overrides):
     """Map a log with the command line; return the centres of the objects' boxes."""
     options = [part for override in (NO_SHAPES, *overrides) for part in ("--set", override)]
     assert main(["play", str(log), "--out", str(folder), "--viewer", "none", "--json", *options]) == 0
     return [item.box.center for item in open_map(folder).snapshot.objects]
 
 
-def num_found(centers: list[NDArray[np.float64]], within_m: float) -> int:
+def num_found(centers, within_m):
     """Return how many of the three boxes have an object whose middle is so near theirs."""
     true = [(np.array(box.low) + np.array(box.high)) / 2 for box in SCENE_BOXES]
     return sum(any(np.linalg.norm(center - middle) < within_m for center in centers) for middle in true)
@@ -125,8 +111,11 @@ def num_found(centers: list[NDArray[np.float64]], within_m: float) -> int:
 @pytest.mark.parametrize(
     ("change", "least"), [(black, 2), (grey, 3), (fisheye, 2), (fisheye_color, 3), (fisheye_depth, 3)]
 )
-def test_a_log_with_poor_images_is_mapped(change, least, tmp_path):
-    assert num_found(mapped(write_log(tmp_path / "a.mcap", change), tmp_path / "out"), 0.15) >= least
+def test_a_log_with_poor_images_is_mapped(change, least, tmp_path, capsys):
+    log = write_log(tmp_path / "a.mcap", change)
+    assert num_found(mapped(log, tmp_path / "out"), 0.15) >= least
+    # A border is no fault, as a lack of colour is.
+    assert change in (black, grey) or doctor(log, capsys)["problems"] == []
 
 
 @pytest.mark.parametrize(("width", "height", "times"), [(160, 120, 1), (480, 270, 4)], ids=["160x120", "1920x1080"])
@@ -143,11 +132,6 @@ def test_a_monochrome_camera_is_mapped_and_doctor_names_it(tmp_path, capsys):
     told = doctor(log, capsys)
     assert told["problems"] == []
     assert any("the camera has no colour" in note for note in told["notes"])
-
-
-@pytest.mark.parametrize("change", [fisheye, fisheye_color, fisheye_depth])
-def test_doctor_finds_no_fault_with_a_fisheye_border(change, tmp_path, capsys):
-    assert doctor(write_log(tmp_path / "a.mcap", change), capsys)["problems"] == []
 
 
 def test_doctor_says_that_colour_is_black_or_grey(tmp_path, capsys):

@@ -1,7 +1,6 @@
 """`align`, `tools/paper alignment` and `relocalise` as a person calls them."""
 
 import json
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
@@ -15,14 +14,13 @@ from hickory_stream.engine.relocalise import relocalise
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.map_folder.manifest import MANIFEST
 from hickory_stream.map_folder.writer import create_map_folder
-from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tools.paper_tables.__main__ import main as paper
 
 B_FROM_WORLD = frame(35, 1, 2)
 
 
-def save(path: Path, snapshot: MapSnapshot) -> str:
+def save(path, snapshot):
     folder = create_map_folder(path, config={}, source={"uri": path.name})
     folder.save(snapshot)
     folder.finish(finished_cleanly=True)
@@ -30,7 +28,7 @@ def save(path: Path, snapshot: MapSnapshot) -> str:
 
 
 @pytest.fixture(scope="module")
-def maps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def maps(tmp_path_factory):
     base = tmp_path_factory.mktemp("maps")
     items = furniture(12, 1)
     return {
@@ -109,7 +107,6 @@ def test_a_log_of_another_place_is_not_found_in_a_map():
     heard = []
     stored = object_map(snapshot_of(furniture(12, 1), np.eye(4)))
     last = relocalise(stored, SceneSource(8), MapperConfig(), rate=None, stops_when_found=True, report=heard.append)
-    assert last is not None
     assert heard[-1] is last
     assert not last.is_confirmed
     assert isinstance(last.answer, NoAlignment)

@@ -10,13 +10,12 @@ from hickory_stream.cli.maps.align import objects_of
 from hickory_stream.cli.option_values import movable_objects
 from hickory_stream.engine.relocalise import without
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.cli.test_cli_align import save
 from tests.navigation.rooms import seen_room
 
 
-def in_seen_space(made: MapSnapshot) -> MapSnapshot:
+def in_seen_space(made):
     return replace(made, submaps=tuple(replace(one, observed_space=seen_room()) for one in made.submaps))
 
 
@@ -54,7 +53,7 @@ def test_what_moves_day_after_day_is_learnt_and_is_no_landmark(tmp_path, capsys)
     items = furniture(12, 1)
     file = tmp_path / "known.json"
 
-    def day(name: str, shift_m: float, yaw_deg: float) -> str:
+    def day(name, shift_m, yaw_deg):
         place, *rest = items[0]
         moved = place.copy()
         moved[0] += shift_m

@@ -1,5 +1,6 @@
 """Export of maps: formats by their endings, closed meshes, the trajectory, and the page."""
 
+import json
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -13,15 +14,22 @@ from tests.cli.test_cli_navigation import saved
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.navigation.rooms import table, tracked
 
+FIRST_BYTES = {"glb": b"glTF", "ply": b"ply\n", "json": b"{"}
+
 
 @pytest.mark.parametrize(
     ("ending", "form"),
     [("glb", "glb"), ("PLY", "ply"), ("obj", "obj"), ("stl", "stl"), ("tum", "tum"), ("htm", "html"), ("json", "json")],
 )
 def test_the_ending_of_a_file_chooses_the_format(short_map, tmp_path, ending, form):
-    ended = look("export", short_map, "-o", tmp_path / f"map.{ending}", "--texture", 0, "--json")
+    out = tmp_path / f"map.{ending}"
+    ended = look("export", short_map, "-o", out, "--texture", 0, "--json")
     assert ended.status == 0, ended.stderr
     assert ended.json()["format"] == form
+    assert out.read_bytes().startswith(FIRST_BYTES.get(form, b""))
+    if form == "json":
+        ids = [tracked.id for tracked in open_map(short_map).snapshot.objects]
+        assert [entry["id"] for entry in json.loads(out.read_text())["objects"]] == ids
 
 
 @pytest.mark.parametrize(
@@ -74,7 +82,6 @@ def test_a_mesh_that_is_open_in_the_map_is_counted(tmp_path, ending):
     whole = box_mesh((1.0, 0.5, 0.2), (120, 90, 60))
     cut = Mesh(vertices=whole.vertices, faces=whole.faces[1:], colors=whole.colors, is_seen=whole.is_seen)
     one, other = tracked(1, table()), tracked(2, table())
-    assert one.shape is not None
     shape = replace(one.shape, mesh_name="cut.glb", mesh_sha256=sha256_of(cut))
     folder = saved(tmp_path / "a.map", replace(one, shape=shape), other)
     write_glb(cut, folder / "shapes" / "cut.glb")

@@ -4,7 +4,6 @@ import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
@@ -27,13 +26,13 @@ class Run:
     ended: Ended
 
     @property
-    def told(self) -> Any:
+    def told(self):
         """Return what it printed."""
         return self.ended.json()
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """Logs of two robots in one room, and one that is no log at all."""
     folder = tmp_path_factory.mktemp("robots")
     make_fleet(SMALL, folder, "f", 2, caster=None)
@@ -43,7 +42,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fleet(made: Path, out: Path, *arguments: object) -> Run:
+def fleet(made, out, *arguments):
     options = (
         "--config", made / "coarse.toml", *NO_SHAPES, "--every", "2", "--workers", "1", "--viewer", "none", "--json",
     )  # fmt: skip
@@ -51,7 +50,7 @@ def fleet(made: Path, out: Path, *arguments: object) -> Run:
 
 
 @pytest.fixture(scope="module")
-def by_two(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+def by_two(made, tmp_path_factory):
     """The fleet of FLEET.toml and a robot whose log is broken, by two processes."""
     text = (made / "f.toml").read_text() + '[[robot]]\nname = "broken"\nlog = "broken.mcap"\n'
     (made / "three.toml").write_text(text)
@@ -129,7 +128,7 @@ def test_a_fleet_goes_on_with_nothing_but_its_own_maps(made, by_two, tmp_path):
 
 
 def test_the_recording_has_every_robot_and_moves_joined_ones(by_two):
-    columns: dict[str, dict[str, list[Any]]] = {}
+    columns = {}
     for chunk in RrdReader(by_two.out / "fleet.rrd").stream():
         if not chunk.is_static:
             found = columns.setdefault(chunk.entity_path, {})

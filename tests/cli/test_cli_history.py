@@ -1,14 +1,11 @@
 """The history of a map from the command line: killed and resumed, looked back at, compared, repeated, exported."""
 
-import json
 import re
 import signal
 from dataclasses import replace
 import numpy as np
 import psutil
-import pytest
 from hickory_stream.changes.run_page import pictures_of
-from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
 from tests.cli.test_cli import EAGER, Playing, look
 
@@ -110,18 +107,3 @@ def test_diff_tells_what_is_in_one_of_two_maps_alone(short_map):
         refused = look("diff", short_map, *wrong)
         assert refused.status == 2
         assert "expected either T1 and T2, or --other MAP" in refused.stderr
-
-
-@pytest.mark.parametrize(("kind", "first"), [("json", b"{"), ("ply", b"ply\n"), ("glb", b"glTF")])
-def test_export_writes_what_other_programs_read(short_map, tmp_path, kind, first):
-    ended = look("export", short_map, "--format", kind, "-o", tmp_path / f"map.{kind}", "--json")
-    assert ended.status == 0, ended.stderr
-    assert (tmp_path / f"map.{kind}").read_bytes().startswith(first)
-    snapshot = open_map(short_map).snapshot
-    assert ended.json()["objects"] == len(snapshot.objects)
-    if kind == "json":
-        assert [entry["id"] for entry in json.loads((tmp_path / "map.json").read_text())["objects"]] == [
-            tracked.id for tracked in snapshot.objects
-        ]
-    assert look("export", short_map, "--format", kind, "-o", tmp_path / "no" / "map").status == 2
-    assert map_digest(snapshot) == open_map(short_map).manifest.digest

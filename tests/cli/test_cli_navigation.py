@@ -2,8 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.navigation.free_space import obstacle_grid
 from hickory_stream.navigation.robot import Part, Posture, Robot
-from hickory_stream.records import TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table, tracked
 from tools.paper_tables.__main__ import main as paper
@@ -23,7 +20,7 @@ from tools.paper_tables.__main__ import main as paper
 CRATE = boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))
 
 
-def saved(folder: Path, *objects: TrackedObject, floors_m: tuple[float, ...] = (0.0,)) -> Path:
+def saved(folder, *objects, floors_m=(0.0,)):
     made = create_map_folder(folder, config={}, source={}, overwrite=False)
     for item in objects:
         if item.shape is not None:
@@ -41,12 +38,12 @@ def saved(folder: Path, *objects: TrackedObject, floors_m: tuple[float, ...] = (
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return saved(tmp_path_factory.mktemp("maps") / "room.map", tracked(1, table()), tracked(2, CRATE))
 
 
-def told(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+def told(capsys):
+    answer = json.loads(capsys.readouterr().out)
     return answer
 
 
@@ -134,7 +131,7 @@ def test_objects_without_layer_4_are_named(tmp_path, capsys):
     assert "1 objects have no layer 4, their boxes are avoided: 7" in capsys.readouterr().out
 
 
-def two_storeys(folder: Path) -> Path:
+def two_storeys(folder):
     """The room twice, one above the other: the table is in the lower one, a crate in the upper one."""
     upper = boxes(((4.5, 1.0, 3.3), (0.4, 0.3, 0.3)))
     return saved(folder, tracked(1, table()), tracked(2, upper), floors_m=(0.0, 3.0))

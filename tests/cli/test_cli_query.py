@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from tests.perception.small_pairs import write_pair
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     made = create_map_folder(tmp_path_factory.mktemp("query") / "map", config={}, source={}, overwrite=False)
     made.save(make_snapshot(made))
     made.finish(finished_cleanly=True)

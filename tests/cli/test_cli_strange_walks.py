@@ -1,38 +1,28 @@
 """What `play` and `inspect` say of walks that no odometry survives: carried away, a lift, a camera that stops."""
 
 import json
-from collections.abc import Sequence
-from pathlib import Path
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from hickory_stream.box_scene import SCENE_BOXES, SceneBox, cast_scene, scene_pose
+from hickory_stream.box_scene import SCENE_BOXES, cast_scene, scene_pose
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from hickory_stream.map_folder.saved_map import open_map
-from tests.cli.test_cli import Ended, look
+from tests.cli.test_cli import look
 from tests.engine.registration_sources import CAMERA, ROOM
 
 LAYER_ONE = ("--viewer", "none", "--set", "mapper.mapping.requests.max_failures=0")
 
 
-def log_of(
-    folder: Path,
-    seen_from: Sequence[NDArray[np.float64]],
-    told: Sequence[NDArray[np.float64]],
-    boxes: Sequence[SceneBox],
-    *,
-    num_depth: int | None = None,
-) -> Path:
+def log_of(folder, seen_from, told, boxes, *, camera=CAMERA, most_m=np.inf, num_depth=None):
     """Write a folder in the layout of TUM: frames seen from poses, of which the odometry tells others."""
-    lines: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
+    lines = {"rgb": [], "depth": [], "groundtruth": []}
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
-    np.savetxt(folder / "camera-intrinsics.txt", CAMERA.K)
+    np.savetxt(folder / "camera-intrinsics.txt", camera.K)
     for i, (pose, claimed) in enumerate(zip(seen_from, told, strict=True)):
         stem = f"{1000 + 0.3 * i:.6f}"
-        rgb, depth_m, _ = cast_scene(boxes, CAMERA, pose)
-        units = np.nan_to_num(depth_m * 5000.0).round().astype(np.uint16)
+        rgb, depth_m, _ = cast_scene(boxes, camera, pose)
+        units = np.nan_to_num(np.where(depth_m < most_m, depth_m, 0.0) * 5000.0).round().astype(np.uint16)
         for name, image in (("rgb", rgb[..., ::-1]), ("depth", units)):
             if name == "rgb" or num_depth is None or i < num_depth:
                 cv2.imwrite(str(folder / name / f"{stem}.png"), image)
@@ -44,7 +34,7 @@ def log_of(
     return folder
 
 
-def play(log: Path, out: Path, *options: str) -> Ended:
+def play(log, out, *options):
     return look("play", log, "--out", out, *LAYER_ONE, *options)
 
 

@@ -1,6 +1,5 @@
 import ast
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 import jsonschema
@@ -16,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 FILES = [*sorted((ROOT / "hickory_stream" / "cli").rglob("*.py")), ROOT / "hickory_stream" / "progress.py"]
 
 
-def calls(name: str) -> Iterator[tuple[Path, ast.Call]]:
+def calls(name):
     for file in FILES:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name:

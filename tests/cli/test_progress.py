@@ -21,14 +21,14 @@ def test_one_of_several_runs_says_which_it_is(capsys):
 class Clock:
     """A clock that is set by hand."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_s = 100.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now_s
 
 
-def lines_of(printed: str) -> list[str]:
+def lines_of(printed):
     return printed.splitlines()
 
 
@@ -75,7 +75,7 @@ def test_nothing_is_left_when_all_frames_are_mapped(capsys):
 @pytest.mark.parametrize("style", ["lines", "bar"])
 def test_compiling_is_told_with_what_is_done(capsys, style):
     clock = Clock()
-    printer = ProgressPrinter(style, clock=clock)  # type: ignore[arg-type] # both are styles
+    printer = ProgressPrinter(style, clock=clock)  # both are styles
     compiling = replace(AT_START, phase="compiling", num_kernels=140)
     printer(compiling)
     clock.now_s += 35.0

@@ -1,12 +1,10 @@
 """What every odometry owes whoever plays a log by it, shown on one walk through an empty room."""
 
-from collections.abc import Callable
 from functools import partial
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import compose, invert, is_rigid
-from hickory_stream.ports import NotRegistered, Odometry, Registered
+from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.records import Scan
 from tests.examples.dead_reckoning import DeadReckoning
@@ -14,7 +12,7 @@ from tools.worlds.corridor import CorridorConfig, corridor_scans
 
 ROOM = CorridorConfig(length_m=7.0, width_m=5.0, margin_m=2.0, way_m=1.5, beams=16, columns=360)
 WALK = corridor_scans(ROOM, seed=3)
-MADE: dict[str, Callable[[], Odometry]] = {
+MADE = {
     "example": DeadReckoning,
     "small_gicp": partial(make_odometry, "lidar", "small_gicp"),
     "kiss-icp": partial(make_odometry, "lidar", "kiss-icp"),
@@ -22,15 +20,15 @@ MADE: dict[str, Callable[[], Odometry]] = {
 
 
 @pytest.fixture(params=sorted(MADE))
-def make(request: pytest.FixtureRequest) -> Callable[[], Odometry]:
+def make(request):
     return MADE[request.param]
 
 
-def step(i: int) -> NDArray[np.float64] | None:
+def step(i):
     return compose(invert(WALK[i - 1][1]), WALK[i][1]) if i else None
 
 
-def walked(odometry: Odometry) -> list[Registered | NotRegistered]:
+def walked(odometry):
     return [odometry.register(scan, step(i)) for i, (scan, _) in enumerate(WALK)]
 
 

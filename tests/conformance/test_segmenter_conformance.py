@@ -8,8 +8,7 @@ from hickory_stream.box_scene import SceneSource
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
-from hickory_stream.ports import Segmenter
-from hickory_stream.records import Frame, MapPrior, ObservedSpace, Segmentation
+from hickory_stream.records import MapPrior, ObservedSpace
 from hickory_stream.testing import InstanceSegmenter
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.examples.plane_segmenter import PlaneSegmenter
@@ -37,11 +36,11 @@ SEGMENTERS = {
 
 
 @pytest.fixture(scope="module", params=sorted(SEGMENTERS))
-def segmenter(request: pytest.FixtureRequest) -> Segmenter:
+def segmenter(request):
     return SEGMENTERS[request.param]()
 
 
-def check(frame: Frame, result: Segmentation) -> None:
+def check(frame, result):
     """Hold a result against what `Segmentation` says of itself."""
     labels = np.unique(result.instances)
     assert result.instances.shape == result.structure.shape == frame.depth_m.shape

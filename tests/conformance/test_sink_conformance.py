@@ -2,14 +2,10 @@
 
 import itertools
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 import pytest
 from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.ports import Sink
-from hickory_stream.records import FrameReport
 from hickory_stream.sinks.costmap_sink import CostmapSink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.sinks.rerun.config import RerunConfig
@@ -22,29 +18,29 @@ from tests.examples.csv_sink import COLUMNS, CsvSink
 pytestmark = pytest.mark.timeout(60)
 
 
-def _disk(folder: MapFolder) -> Sink:
+def _disk(folder):
     return DiskSink(folder, DiskSinkConfig(every_keyframes=2))
 
 
-def _rerun_file(folder: MapFolder) -> Sink:
+def _rerun_file(folder):
     rrd = folder.path.parent / "run.rrd"
     return RerunSink(RerunConfig(), folder.path, rrd, ViewerChoice(kind=ViewerKind.NONE))
 
 
-def _costmap(folder: MapFolder) -> Sink:
+def _costmap(folder):
     return CostmapSink(load_robot("point"), path=folder.path.parent / "costmap.mcap")
 
 
-def _rerun_of_nothing(folder: MapFolder) -> Sink:
+def _rerun_of_nothing(folder):
     return RerunSink(RerunConfig(), folder.path, None, ViewerChoice(kind=ViewerKind.NONE))
 
 
-def _example(folder: MapFolder) -> Sink:
+def _example(folder):
     return CsvSink(folder.path.parent / "objects.csv")
 
 
 # A sink of one's own adds its line here.
-SINKS: dict[str, Callable[[MapFolder], Sink]] = {
+SINKS = {
     "costmap": _costmap, "disk": _disk, "example": _example, "rerun_file": _rerun_file,
     "rerun_of_nothing": _rerun_of_nothing, "remembering": lambda _: RememberingSink(),
     "slow": lambda _: SlowSink(RememberingSink(), 0.001),
@@ -52,7 +48,7 @@ SINKS: dict[str, Callable[[MapFolder], Sink]] = {
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[MapFolder, list[FrameReport]]:
+def played(tmp_path_factory):
     sink = RememberingSink()
     run = map_scene(
         tmp_path_factory.mktemp("played"), loops=2, sinks=lambda folder: [(sink, True), (_disk(folder), True)]
@@ -61,17 +57,17 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[MapFolder, list[Fr
 
 
 @pytest.fixture(scope="module")
-def undisturbed_digest(tmp_path_factory: pytest.TempPathFactory) -> str | None:
+def undisturbed_digest(tmp_path_factory):
     return map_scene(tmp_path_factory.mktemp("undisturbed"), *NO_SHAPES).digest
 
 
 @pytest.fixture(params=sorted(SINKS))
-def make_sink(request: pytest.FixtureRequest) -> Callable[[MapFolder], Sink]:
+def make_sink(request):
     return SINKS[request.param]
 
 
 @pytest.fixture
-def folder(played: tuple[MapFolder, list[FrameReport]], tmp_path: Path) -> MapFolder:
+def folder(played, tmp_path):
     """A copy of the folder that the reports refer to."""
     shutil.copytree(played[0].path, tmp_path / "map")
     return MapFolder(tmp_path / "map", played[0].manifest)

@@ -1,15 +1,11 @@
 """What every source owes its readers, shown on one scene written in every format."""
 
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
-from hickory_stream.ports import Source
-from hickory_stream.records import RawFrame
 from players import SourceOptions, open_source
 from tests import player_scenes as scenes
 from tests.examples.npz_source import NpzSource
@@ -17,32 +13,32 @@ from tests.examples.npz_source import NpzSource
 REGISTERED = SourceOptions(profile="registered")
 
 
-def _ros1(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _ros1(path, frames):
     m = scenes.Messages(ros=1)
     return scenes.write_ros1(path.with_suffix(".bag"), m, scenes.scene_messages(m, frames, scenes.raw_images))
 
 
-def _ros2_sqlite(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _ros2_sqlite(path, frames):
     m = scenes.Messages(ros=2)
     return scenes.write_ros2(path, m, scenes.scene_messages(m, frames, scenes.raw_images))
 
 
-def _ros2_database(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _ros2_database(path, frames):
     return next(_ros2_sqlite(path, frames).glob("*.db3"))
 
 
-def _ros2_mcap(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _ros2_mcap(path, frames):
     m = scenes.Messages(ros=2)
     messages = scenes.scene_messages(m, frames, scenes.png_images, with_odometry=False)
     return scenes.write_ros2(path, m, messages, storage="mcap")
 
 
-def _mcap(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _mcap(path, frames):
     m = scenes.Messages(ros=2)
     return scenes.write_mcap(path.with_suffix(".mcap"), m, scenes.scene_messages(m, frames, scenes.png_images))
 
 
-def _mcap_without_index(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _mcap_without_index(path, frames):
     from mcap.writer import IndexType
 
     m = scenes.Messages(ros=2)
@@ -53,7 +49,7 @@ def _mcap_without_index(path: Path, frames: list[scenes.SceneFrame]) -> Path:
     )
 
 
-def _npz(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+def _npz(path, frames):
     path.parent.mkdir(parents=True, exist_ok=True)
     camera = scenes.CAMERA
     np.savez(
@@ -67,12 +63,12 @@ def _npz(path: Path, frames: list[scenes.SceneFrame]) -> Path:
     return path.with_suffix(".npz")
 
 
-def _open_registered(path: Path) -> Source:
+def _open_registered(path):
     return open_source(path, REGISTERED)
 
 
 # How the scene is written in a format, and how what was written is opened. A source of one's own adds its line here.
-FORMATS: dict[str, tuple[Callable[[Path, list[scenes.SceneFrame]], Path], Callable[[Path], Source]]] = {
+FORMATS = {
     "7scenes": (scenes.write_seven_scenes, _open_registered), "tum": (scenes.write_tum, open_source),
     "posed": (scenes.write_posed_folder, open_source), "ros1": (_ros1, open_source),
     "ros2_sqlite": (_ros2_sqlite, open_source), "ros2_database": (_ros2_database, open_source),
@@ -85,18 +81,18 @@ TRUTH = scenes.make_scene()
 
 
 @pytest.fixture(scope="module", params=sorted(FORMATS))
-def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+def recording(request, tmp_path_factory):
     write, _ = FORMATS[request.param]
     return request.param, write(tmp_path_factory.mktemp(request.param) / "log", TRUTH)
 
 
 @pytest.fixture
-def source(recording: tuple[str, Path]) -> Source:
+def source(recording):
     name, path = recording
     return FORMATS[name][1](path)
 
 
-def _fields(frame: RawFrame) -> tuple[object, ...]:
+def _fields(frame):
     return frame.index, frame.stamp_ns, frame.camera, frame.world_from_camera.tobytes(), frame.color_bytes
 
 
@@ -207,6 +203,6 @@ def test_a_log_without_the_files_it_needs_is_an_input_error(recording, tmp_path)
         list(FORMATS[name][1](broken).frames())
 
 
-def _copy_file(source: Path, target: Path) -> None:
+def _copy_file(source, target):
     target.parent.mkdir(parents=True)
     shutil.copy(source, target)

@@ -2,12 +2,9 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable, Iterator
-from pathlib import Path
-from typing import Any
 import pytest
 from hickory_stream.engine.shape_jobs.job_folder import take_result, write_job
-from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, ShapeWorkers, WorkerLimits
+from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, WorkerLimits
 from tests.engine.run_fixtures import scene_config, scene_request
 from tests.in_process_workers import InProcessWorkers
 from tests.shape_jobs.test_dask_workers import cluster
@@ -18,7 +15,7 @@ LIMITS = WorkerLimits(time_s=60.0, memory_mb=4000.0)
 
 
 @pytest.fixture(scope="module", params=["local", "dask", "in process"])
-def use(request: pytest.FixtureRequest) -> Iterator[Callable[[Callable[[ShapeWorkers], Awaitable[Any]]], Any]]:
+def use(request):
     """Give workers of a kind to a coroutine function."""
     if request.param == "local":
         yield lambda function: asyncio.run(_with(LocalWorkers(1, LIMITS), function))
@@ -33,12 +30,12 @@ def use(request: pytest.FixtureRequest) -> Iterator[Callable[[Callable[[ShapeWor
         yield lambda function: asyncio.run(_with(DaskWorkers(address, LIMITS), function))
 
 
-async def _with(workers: ShapeWorkers, function: Callable[[ShapeWorkers], Awaitable[Any]]) -> Any:
+async def _with(workers, function):
     async with workers:
         return await function(workers)
 
 
-def job(tmp_path: Path, name: str) -> Path:
+def job(tmp_path, name):
     views = tmp_path / "views"
     views.mkdir(exist_ok=True)
     folder = tmp_path / "jobs" / name
@@ -49,7 +46,7 @@ def job(tmp_path: Path, name: str) -> Path:
 def test_jobs_are_answered_with_the_same_shape_whoever_does_them(tmp_path, use):
     folders = [job(tmp_path, str(i)) for i in range(3)]
 
-    async def submit(workers: ShapeWorkers) -> list[str | None]:
+    async def submit(workers):
         assert workers.num_open == 0
         answers = [workers.submit(folder) for folder in folders]
         assert workers.num_open == 3
@@ -71,7 +68,7 @@ def test_a_job_that_cannot_be_read_is_answered_with_the_reason(tmp_path, use):
     folder = tmp_path / "nothing in it"
     folder.mkdir()
 
-    async def submit(workers: ShapeWorkers) -> str | None:
+    async def submit(workers):
         return await workers.submit(folder)
 
     assert use(submit) is None
@@ -79,7 +76,7 @@ def test_a_job_that_cannot_be_read_is_answered_with_the_reason(tmp_path, use):
 
 
 def test_a_job_whose_folder_is_gone_is_given_up_with_the_reason(tmp_path, use):
-    async def submit(workers: ShapeWorkers) -> str | None:
+    async def submit(workers):
         return await workers.submit(tmp_path / "never made")
 
     assert "never made" in use(submit)
@@ -88,7 +85,7 @@ def test_a_job_whose_folder_is_gone_is_given_up_with_the_reason(tmp_path, use):
 def test_a_cancelled_job_holds_up_no_other(tmp_path, use):
     folders = [job(tmp_path, str(i)) for i in range(3)]
 
-    async def submit(workers: ShapeWorkers) -> list[str | None]:
+    async def submit(workers):
         first, unwanted, last = (workers.submit(folder) for folder in folders)
         unwanted.cancel()
         return [await first, await last]
@@ -99,7 +96,7 @@ def test_a_cancelled_job_holds_up_no_other(tmp_path, use):
 def test_leaving_while_jobs_are_under_way_returns(tmp_path, use):
     folders = [job(tmp_path, str(i)) for i in range(2)]
 
-    async def submit(workers: ShapeWorkers) -> None:
+    async def submit(workers):
         for folder in folders:
             workers.submit(folder)
         await asyncio.sleep(0.05)

@@ -1,15 +1,12 @@
 """A room that a camera goes around in with an odometry that errs: what tests of registration in runs share."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_BOXES, SceneBox, SceneSource
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.ports import SourceAround
-from hickory_stream.records import Frame, RawFrame
 
 NUM_FRAMES = 14
 _GREY = (128, 128, 128)
@@ -24,7 +21,7 @@ ROOM = (
 )
 
 
-def room(num_frames: int = NUM_FRAMES, step_of: Callable[[int], int] = int) -> SceneSource:
+def room(num_frames=NUM_FRAMES, step_of=int):
     """Return the room with exact poses."""
     return SceneSource(num_frames, ROOM, camera=CAMERA, step_of=step_of)
 
@@ -32,9 +29,9 @@ def room(num_frames: int = NUM_FRAMES, step_of: Callable[[int], int] = int) -> S
 class Drifting(SourceAround):
     """A `Source` whose odometry goes too far by 4 % and turns by 0.4 degrees too much with every frame."""
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         """Yield the frames, from the true pose of the first."""
-        true: NDArray[np.float64] | None = None
+        true = None
         pose = np.eye(4)
         for raw in self._source.frames():
             if true is None:
@@ -51,16 +48,16 @@ class Drifting(SourceAround):
 class Unaware(SourceAround):
     """A `Source` whose odometry says that every frame was taken where `told` has it."""
 
-    def __init__(self, source: SceneSource, told: Callable[[int], NDArray[np.float64]]) -> None:
+    def __init__(self, source, told):
         super().__init__(source)
         self._told = told
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         """Yield the frames."""
         for raw in self._source.frames():
             pose = self._told(raw.index)
             yield replace(raw, world_from_camera=pose, decode=partial(_at, raw, pose))
 
 
-def _at(raw: RawFrame, pose: NDArray[np.float64]) -> Frame:
+def _at(raw, pose):
     return replace(raw.decode(), world_from_camera=pose)

@@ -1,24 +1,20 @@
 """Runs over the in-memory scene: what the tests of the engine share."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 import numpy as np
 import psutil
 from hickory_stream.base.config_text import read_config
-from hickory_stream.box_scene import SCENE_BOXES, SceneBox, SceneSource
+from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Mode, Progress
 from hickory_stream.events import RequestShape
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.map_folder.views import write_crop
 from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
-from hickory_stream.ports import Segmenter, Sink, Source
 from hickory_stream.records import MapSnapshot, View
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.conftest import COARSE_SHAPES
@@ -32,7 +28,7 @@ DEFAULT_RUN = RunConfig()
 NO_SHAPES = ("mapping.requests.max_failures=0",)
 
 
-def scene_config(path: Path, *overrides: str) -> MapperConfig:
+def scene_config(path, *overrides):
     """Return a configuration with coarse shapes that are asked for soon, and built by one worker."""
     path.mkdir(parents=True, exist_ok=True)
     (path / "coarse.toml").write_text(COARSE_SHAPES.replace("[mapper.", "["))
@@ -47,33 +43,33 @@ class SceneRun:
     folder: MapFolder
 
     @property
-    def digest(self) -> str | None:
+    def digest(self):
         return self.folder.manifest.digest
 
 
 def map_scene(
-    tmp_path: Path,
-    *overrides: str,
-    name: str = "map",
-    boxes: Sequence[SceneBox] = SCENE_BOXES,
-    source: Source | None = None,
-    sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None = None,
-    loops: int = 1,
-    rate: float | None = None,
-    mode: Mode = "playback",
-    segmenter: Segmenter | None = None,
-    on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
-    on_snapshot: Callable[[Mapper, MapSnapshot], Awaitable[None]] | None = None,
-    child_workers: bool = False,
-) -> SceneRun:
+    tmp_path,
+    *overrides,
+    name="map",
+    boxes=SCENE_BOXES,
+    source=None,
+    sinks=None,
+    loops=1,
+    rate=None,
+    mode="playback",
+    segmenter=None,
+    on_progress=lambda _, __: None,
+    on_snapshot=None,
+    child_workers=False,
+):
     """Map the scene, of all or of some `boxes`, or a source that wraps it, into `tmp_path/name`.
 
     Shapes are built on a thread, by the workers that the configuration asks for only with `child_workers`.
     """
     scene = SceneSource(NUM_FRAMES, boxes)
-    made: list[SceneRun] = []
+    made = []
 
-    async def run() -> None:
+    async def run():
         async with Mapper(
             scene_config(tmp_path / f"{name}-config", *overrides),
             out=tmp_path / name,
@@ -90,7 +86,6 @@ def map_scene(
                 snapshots.append(snapshot)
                 if on_snapshot is not None:
                     await on_snapshot(mapper, snapshot)
-            assert mapper.folder is not None
             made.append(SceneRun(snapshots=snapshots, folder=mapper.folder))
 
     # Not as the task's result: asyncio prints that when it puts signals back, which takes a fifth of the time.
@@ -98,22 +93,40 @@ def map_scene(
     return made[0]
 
 
-def shape_workers() -> list[psutil.Process]:
+def stop_at(keyframes):
+    """Return an `on_progress` that stops a run after so many keyframes."""
+    return lambda mapper, progress: mapper.stop() if progress.keyframes == keyframes else None
+
+
+def resume_scene(path, source, instances=None):
+    """Go on with an interrupted run of the scene, and return the digest of the map."""
+
+    async def run():
+        segmenter = InstanceSegmenter(source.instances if instances is None else instances)
+        async with Mapper.resuming(
+            path, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
+            async for _ in mapper.run(source):
+                pass
+            return mapper.folder.manifest.digest
+
+    return asyncio.run(run())
+
+
+def shape_workers():
     """Return the shape workers that are children of this process."""
     children = psutil.Process().children(recursive=True)
     return [child for child in children if "hickory_stream.engine.shape_jobs.worker" in _command(child)]
 
 
-def _command(process: psutil.Process) -> list[str]:
+def _command(process):
     try:
         return process.cmdline()
     except (psutil.NoSuchProcess, psutil.ZombieProcess):
         return []
 
 
-def scene_request(
-    views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: int = 4, views_as: RunConfig = DEFAULT_RUN
-) -> RequestShape:
+def scene_request(views, *, ticket=1, due_ns=0, num_views=4, views_as=DEFAULT_RUN):
     """Write the views of the tallest box into a folder and return the request for its shape."""
     source = SceneSource(num_views)
     segmenter, config = InstanceSegmenter(source.instances), PerceptionConfig()

@@ -10,7 +10,6 @@ from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.views import write_crop
-from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.ports import Crop
 from hickory_stream.records import (
     Containment,
@@ -27,7 +26,7 @@ VOXEL_M = 0.02
 DEFAULT_RUN = RunConfig()
 
 
-def box_mesh(extents_m: tuple[float, float, float], color: tuple[int, int, int]) -> Mesh:
+def box_mesh(extents_m, color):
     solid = trimesh.creation.box(extents_m).subdivide()
     return Mesh(
         vertices=solid.vertices,
@@ -37,13 +36,13 @@ def box_mesh(extents_m: tuple[float, float, float], color: tuple[int, int, int])
     )
 
 
-def placed(x: float, y: float, z: float) -> np.ndarray:
+def placed(x, y, z):
     world_from_object = np.eye(4)
     world_from_object[:3, 3] = x, y, z
     return world_from_object
 
 
-def make_view(object_id: int, frame_index: int, x: float) -> View:
+def make_view(object_id, frame_index, x):
     feature = np.random.default_rng(frame_index).normal(size=12).astype(np.float32)
     return View(
         object_id=object_id, frame_index=frame_index, stamp_ns=1_700_000_000_123_456_789 + frame_index,
@@ -52,7 +51,7 @@ def make_view(object_id: int, frame_index: int, x: float) -> View:
     )  # fmt: skip
 
 
-def make_crop(seed: int = 0) -> Crop:
+def make_crop(seed=0):
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.5, 4.0, (12, 16)).astype(np.float32)
     depth[0, :4] = np.nan
@@ -65,8 +64,8 @@ def make_crop(seed: int = 0) -> Crop:
     )
 
 
-def make_shape(mesh: Mesh, world_from_object: np.ndarray, half_m: tuple[float, ...], revision: int) -> ObjectShape:
-    def primitives(grow_m: float) -> Superquadrics:
+def make_shape(mesh, world_from_object, half_m, revision):
+    def primitives(grow_m):
         return Superquadrics(
             exponents=[[0.2, 0.2]], semi_axes_m=[np.add(half_m, grow_m)], world_from_local=world_from_object[None]
         )
@@ -78,14 +77,7 @@ def make_shape(mesh: Mesh, world_from_object: np.ndarray, half_m: tuple[float, .
     )  # fmt: skip
 
 
-def make_object(
-    object_id: int,
-    mesh: Mesh,
-    world_from_object: np.ndarray,
-    *,
-    shape: ObjectShape | None = None,
-    views: tuple[View, ...] = (),
-) -> TrackedObject:
+def make_object(object_id, mesh, world_from_object, *, shape=None, views=()):
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points, _ = trimesh.sample.sample_surface(solid, 1500, seed=object_id)
     points_world = (points @ world_from_object[:3, :3].T + world_from_object[:3, 3]).astype(np.float32)
@@ -98,7 +90,7 @@ def make_object(
     )  # fmt: skip
 
 
-def make_space() -> ObservedSpace:
+def make_space():
     grid = np.stack(np.meshgrid(np.arange(-1.5, 1.5, 0.05), np.arange(-1.5, 1.5, 0.05), indexing="ij"), -1) + 0.025
     floor = np.concatenate([grid.reshape(-1, 2), np.full((grid.size // 2, 1), 0.01)], axis=1)
     wall = np.stack([np.full(3600, 1.51), floor[:, 1], (floor[:, 0] + 1.5) * 0.8], axis=1)
@@ -111,7 +103,7 @@ def make_space() -> ObservedSpace:
     )
 
 
-def make_snapshot(folder: MapFolder | None = None, revision: int = 3, views_as: RunConfig = DEFAULT_RUN) -> MapSnapshot:
+def make_snapshot(folder=None, revision=3, views_as=DEFAULT_RUN):
     """Return a map of three objects; with a folder, write the meshes and views that it refers to."""
     parts = [
         (1, box_mesh((1.2, 0.8, 0.05), (150, 110, 70)), placed(0.2, 0.3, 0.7), (0.6, 0.4, 0.025)),

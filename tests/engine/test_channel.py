@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hickory_stream.engine.async_tools import Channel, ChannelClosed
 
 
-async def drain(channel: Channel[int], pauses: list[int]) -> list[int]:
+async def drain(channel, pauses):
     taken = []
     while True:
         for _ in range(pauses[len(taken) % len(pauses)] if pauses else 0):
@@ -16,7 +16,7 @@ async def drain(channel: Channel[int], pauses: list[int]) -> list[int]:
             return taken
 
 
-async def fill(channel: Channel[int], items: list[int], pauses: list[int]) -> None:
+async def fill(channel, items, pauses):
     for i, item in enumerate(items):
         for _ in range(pauses[i % len(pauses)] if pauses else 0):
             await asyncio.sleep(0)
@@ -29,8 +29,8 @@ PAUSES = st.lists(st.integers(0, 4), max_size=5)
 
 @given(capacity=st.integers(1, 5), items=st.lists(st.integers()), slow_sender=PAUSES, slow_receiver=PAUSES)
 def test_items_keep_their_order_and_capacity_holds(capacity, items, slow_sender, slow_receiver):
-    async def pass_through() -> tuple[list[int], Channel[int]]:
-        channel: Channel[int] = Channel(capacity)
+    async def pass_through():
+        channel = Channel(capacity)
         taken, _ = await asyncio.gather(drain(channel, slow_receiver), fill(channel, items, slow_sender))
         return taken, channel
 
@@ -44,14 +44,14 @@ def test_items_keep_their_order_and_capacity_holds(capacity, items, slow_sender,
 
 @given(capacity=st.integers(1, 4), senders=st.integers(1, 4), receivers=st.integers(1, 4), each=st.integers(0, 6))
 def test_many_senders_and_receivers_lose_and_double_nothing(capacity, senders, receivers, each):
-    async def pass_through() -> list[int]:
-        channel: Channel[int] = Channel(capacity)
+    async def pass_through():
+        channel = Channel(capacity)
 
-        async def send(first: int) -> None:
+        async def send(first):
             for item in range(first, first + each):
                 await channel.send(item)
 
-        async def send_all() -> None:
+        async def send_all():
             await asyncio.gather(*(send(100 * i) for i in range(senders)))
             await channel.close()
 
@@ -61,61 +61,40 @@ def test_many_senders_and_receivers_lose_and_double_nothing(capacity, senders, r
     assert asyncio.run(pass_through()) == [100 * i + k for i in range(senders) for k in range(each)]
 
 
-def test_a_full_channel_makes_the_sender_wait():
-    async def run() -> None:
-        channel: Channel[str] = Channel(1)
-        await channel.send("a")
-        waiting = asyncio.create_task(channel.send("b"))
-        for _ in range(5):
-            await asyncio.sleep(0)
-        assert not waiting.done()
-        assert channel.statistics().length == 1
-        assert await channel.receive() == "a"
+async def test_a_full_channel_makes_the_sender_wait():
+    channel = Channel(1)
+    await channel.send("a")
+    waiting = asyncio.create_task(channel.send("b"))
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert not waiting.done()
+    assert channel.statistics().length == 1
+    assert await channel.receive() == "a"
+    await waiting
+    assert await channel.receive() == "b"
+
+
+async def test_closing_wakes_the_sender_and_items_can_still_be_taken():
+    channel = Channel(1)
+    await channel.send(1)
+    waiting = asyncio.create_task(channel.send(2))
+    await asyncio.sleep(0)
+    await channel.close()
+    with pytest.raises(ChannelClosed):
         await waiting
-        assert await channel.receive() == "b"
-
-    asyncio.run(run())
-
-
-def test_closing_wakes_a_waiting_receiver():
-    async def run() -> None:
-        channel: Channel[int] = Channel(1)
-        waiting = asyncio.create_task(channel.receive())
-        await asyncio.sleep(0)
-        await channel.close()
-        with pytest.raises(ChannelClosed):
-            await waiting
-
-    asyncio.run(run())
+    assert await channel.receive() == 1
+    with pytest.raises(ChannelClosed):
+        await channel.receive()
 
 
-def test_closing_wakes_the_sender_and_items_can_still_be_taken():
-    async def run() -> None:
-        channel: Channel[int] = Channel(1)
-        await channel.send(1)
-        waiting = asyncio.create_task(channel.send(2))
-        await asyncio.sleep(0)
-        await channel.close()
-        with pytest.raises(ChannelClosed):
-            await waiting
-        assert await channel.receive() == 1
-        with pytest.raises(ChannelClosed):
-            await channel.receive()
-
-    asyncio.run(run())
-
-
-def test_a_cancelled_wait_takes_nothing_with_it():
-    async def run() -> None:
-        channel: Channel[int] = Channel(1)
-        waiting = asyncio.create_task(channel.receive())
-        await asyncio.sleep(0)
-        waiting.cancel()
-        await asyncio.gather(waiting, return_exceptions=True)
-        await channel.send(1)
-        assert await channel.receive() == 1
-
-    asyncio.run(run())
+async def test_a_cancelled_wait_takes_nothing_with_it():
+    channel = Channel(1)
+    waiting = asyncio.create_task(channel.receive())
+    await asyncio.sleep(0)
+    waiting.cancel()
+    await asyncio.gather(waiting, return_exceptions=True)
+    await channel.send(1)
+    assert await channel.receive() == 1
 
 
 def test_a_channel_without_room_is_refused():
@@ -123,14 +102,11 @@ def test_a_channel_without_room_is_refused():
         Channel(0)
 
 
-def test_a_dropping_channel_returns_the_oldest_and_never_waits():
-    async def run() -> None:
-        channel: Channel[int] = Channel(2, "drop_oldest")
-        assert [await channel.send(i) for i in range(5)] == [None, None, 0, 1, 2]
-        assert channel.statistics().dropped == 3
-        assert await channel.receive_all() == [3, 4]
-        await channel.close()
-        with pytest.raises(ChannelClosed):
-            await channel.receive_all()
-
-    asyncio.run(run())
+async def test_a_dropping_channel_returns_the_oldest_and_never_waits():
+    channel = Channel(2, "drop_oldest")
+    assert [await channel.send(i) for i in range(5)] == [None, None, 0, 1, 2]
+    assert channel.statistics().dropped == 3
+    assert await channel.receive_all() == [3, 4]
+    await channel.close()
+    with pytest.raises(ChannelClosed):
+        await channel.receive_all()

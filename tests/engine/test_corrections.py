@@ -1,11 +1,7 @@
-import asyncio
 import json
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import InputError
@@ -13,12 +9,8 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder
-from hickory_stream.ports import Sink
-from hickory_stream.records import MapSnapshot, RawFrame
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import RememberingSink
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, resume_scene
 
 MOVE = from_rotation_translation(yaw_rotation(0.3), np.array([2.0, 1.0, 0.0]))
 SLOW = 2.0
@@ -27,26 +19,24 @@ SLOW = 2.0
 class JumpingSource(SceneSource):
     """The scene, of whose odometry it is said that it jumped before one frame."""
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         for raw in super().frames():
             yield replace(raw, after_from_before=MOVE) if raw.index == NUM_FRAMES // 2 else raw
 
 
-def corrected_run(
-    path: Path, places: dict[int, dict[int, NDArray[np.float64]]], sink: Sink | None = None, *, name: str = "map"
-) -> SceneRun:
+def corrected_run(path, places, sink=None, *, name="map"):
     """Map the scene with a jump, correcting poses after some of its snapshots: by their revision."""
     from hickory_stream.sinks.disk_sink import DiskSink
 
-    done: set[int] = set()
+    done = set()
 
-    async def on_snapshot(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def on_snapshot(mapper, snapshot):
         for revision in sorted(places.keys() - done):
             if snapshot.revision >= revision:
                 done.add(revision)
                 mapper.correct_poses(places[revision])
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def sinks(folder):
         return [(DiskSink(folder), True), *([(sink, True)] if sink is not None else [])]
 
     return map_scene(
@@ -56,7 +46,7 @@ def corrected_run(
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def plain(tmp_path_factory):
     return corrected_run(tmp_path_factory.mktemp("plain"), {})
 
 
@@ -105,7 +95,7 @@ def test_a_correction_after_the_last_frame_is_in_the_map(tmp_path, plain):
 
 
 def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path):
-    async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def stop(mapper, snapshot):
         if snapshot.revision == 3:
             mapper.correct_poses({0: MOVE})
         if snapshot.revision == 6:
@@ -113,32 +103,24 @@ def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path):
 
     map_scene(tmp_path, *NO_SHAPES, source=JumpingSource(NUM_FRAMES), on_snapshot=stop, rate=SLOW)
 
-    async def resume() -> MapSnapshot:
-        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(
-            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            *_, last = [snapshot async for snapshot in mapper.run(JumpingSource(NUM_FRAMES))]
-            return last
-
     whole = corrected_run(tmp_path, {3: {0: MOVE}}, name="whole")
-    assert map_digest(asyncio.run(resume())) == whole.digest
+    assert resume_scene(tmp_path / "map", JumpingSource(NUM_FRAMES)) == whole.digest
     assert not open_map(tmp_path / "map").manifest.is_reproducible
 
 
 def test_an_invalid_correction_is_refused_and_the_run_goes_on(tmp_path, plain):
-    refused: list[str] = []
+    refused = []
 
-    async def correct(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def correct(mapper, snapshot):
         if snapshot.revision == 2 and not refused:
             for places in ({9: MOVE}, {0: 2.0 * np.eye(4)}, {0: np.eye(3)}, {0: np.full((4, 4), np.nan)}):
                 with pytest.raises(InputError) as error:
                     mapper.correct_poses(places)
                 refused.append(str(error.value))
 
-    mappers: list[Mapper] = []
+    mappers = []
 
-    async def watch(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def watch(mapper, snapshot):
         mappers.append(mapper)
         await correct(mapper, snapshot)
 

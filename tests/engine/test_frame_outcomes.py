@@ -12,7 +12,7 @@ CONFIG = KeyframeConfig()
 FAR_M = 10.0
 
 
-def read(place_m: float, *, is_candidate: bool, is_corrupt: bool = False, seconds: float = 0.0) -> QueuedFrame:
+def read(place_m, *, is_candidate, is_corrupt=False, seconds=0.0):
     """Return a frame so far along x: a keyframe of its own wherever it is far from the last one."""
     pose = np.array(RAW.world_from_camera)
     pose[0, 3] += place_m

@@ -4,7 +4,6 @@ import io
 import json
 import resource
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/ful
 
 
 @contextmanager
-def files_of_at_most(num_bytes: int) -> Iterator[None]:
+def files_of_at_most(num_bytes):
     """Have every file end there, as it would on a disk that fills up."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     # Python would keep the cut bytecode of a module, and fail to load it in later runs.
@@ -49,7 +48,7 @@ class Ended:
 
 
 @pytest.fixture(scope="module")
-def failed(demo_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Ended:
+def failed(demo_log, coarse_config, tmp_path_factory):
     """A log that was cut off, played with workers whose every job fails and with a recording on a full disk."""
     folder = tmp_path_factory.mktemp("failed")
     content = demo_log.read_bytes()

@@ -7,7 +7,6 @@ import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import JournalConfig
 from hickory_stream.engine.effects import color_of, crop_of
-from hickory_stream.records import Observation
 from tests.mapping.mapping_fixtures import box_surface, observation
 
 RAW = next(SceneSource(1).frames())
@@ -15,7 +14,7 @@ FRAME = RAW.decode()
 WIDTH, HEIGHT = FRAME.camera.width, FRAME.camera.height
 
 
-def seen(*box_px: int) -> Observation:
+def seen(*box_px):
     x0, y0, x1, y1 = box_px
     return observation(0, box_surface((0, 0, 0)), box_px=(x0, y0, x1, y1))
 

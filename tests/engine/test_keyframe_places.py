@@ -1,13 +1,8 @@
-import asyncio
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import scene_pose
 from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
-from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Progress
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
 from hickory_stream.geometry.rigid import compose, invert, no_directions
 from hickory_stream.journal.reader import Journal
@@ -15,14 +10,10 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.registration_history import registration_summary
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder
-from hickory_stream.ports import Sink, Source
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.records import Decision, FrameReport, MapSnapshot
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
+from hickory_stream.testing import InstanceSegmenter
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
-from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
-from tests.in_process_workers import InProcessWorkers
+from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene, stop_at
 
 CONFIG = (*NO_SHAPES, "sensor.noise_per_m=0.0005")
 
@@ -30,48 +21,40 @@ CONFIG = (*NO_SHAPES, "sensor.noise_per_m=0.0005")
 class Kept:
     """A sink that keeps the poses that it was told of, and saves the map."""
 
-    def __init__(self) -> None:
-        self.poses: dict[int, np.ndarray] = {}
-        self.decisions: list[Decision] = []
-        self.folder: MapFolder | None = None
-        self._newest: MapSnapshot | None = None
+    def __init__(self):
+        self.poses = {}
+        self.decisions = []
+        self.folder = None
+        self._newest = None
 
-    def show(self, report: FrameReport) -> None:
+    def show(self, report):
         self.poses.setdefault(report.index, report.world_from_camera)
         self.decisions += report.decisions
         self._newest = report.snapshot or self._newest
 
-    def close(self) -> None:
+    def close(self):
         if self.folder is not None and self._newest is not None:
             self.folder.save(self._newest)
 
-    def of(self, folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def of(self, folder):
         self.folder = folder
         return [(self, True)]
 
 
-def mapped(
-    tmp_path: Path,
-    source: Source,
-    *overrides: str,
-    sink: Kept | None = None,
-    on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
-    num_frames: int = NUM_FRAMES,
-    step_of: Callable[[int], int] = int,
-) -> SceneRun:
+def mapped(tmp_path, source, *overrides, sink=None, on_progress=lambda _, __: None, num_frames=NUM_FRAMES, step_of=int):
     return map_scene(
         tmp_path, *CONFIG, *overrides, source=source, segmenter=InstanceSegmenter(room(num_frames, step_of).instances),
         sinks=None if sink is None else sink.of, on_progress=on_progress,
     )  # fmt: skip
 
 
-def events_of(run_path: Path, kind: str) -> list[object]:
+def events_of(run_path, kind):
     with Journal(run_path) as journal:
         return [event for index in range(len(journal)) for event in journal.events(index, kind)]
 
 
 @pytest.fixture(scope="module")
-def drifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[SceneRun, Kept]:
+def drifted(tmp_path_factory):
     sink = Kept()
     return mapped(tmp_path_factory.mktemp("drifted"), Drifting(room()), sink=sink), sink
 
@@ -147,27 +130,14 @@ def test_the_journal_of_a_corrected_run_gives_the_same_map(drifted):
 
 @pytest.mark.parametrize("keyframes", [2, 9])
 def test_a_stopped_corrected_run_resumes_to_the_same_map(drifted, tmp_path, keyframes):
-    def stop(mapper: Mapper, progress: Progress) -> None:
-        if progress.keyframes == keyframes:
-            mapper.stop()
+    mapped(tmp_path, Drifting(room()), on_progress=stop_at(keyframes))
 
-    mapped(tmp_path, Drifting(room()), on_progress=stop)
-
-    async def resume() -> str | None:
-        segmenter = InstanceSegmenter(room().instances)
-        async with Mapper.resuming(
-            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            async for _ in mapper.run(Drifting(room())):
-                pass
-            return mapper.folder.manifest.digest
-
-    assert asyncio.run(resume()) == drifted[0].digest
+    assert resume_scene(tmp_path / "map", Drifting(room()), room().instances) == drifted[0].digest
 
 
 def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):
     # For three frames the odometry says that the camera went on, and it shows another side of the room.
-    def step_of(i: int) -> int:
+    def step_of(i):
         return i + 20 if 8 <= i < 11 else i
 
     source = Unaware(room(NUM_FRAMES, step_of), scene_pose)
@@ -188,12 +158,12 @@ def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):
 def test_a_carried_robot_continues_in_a_new_submap(tmp_path):
     num_frames, carried_at = 26, 10
 
-    def step_of(i: int) -> int:
+    def step_of(i):
         return i + 18 if i >= carried_at else i
 
     away = compose(scene_pose(carried_at), invert(scene_pose(carried_at + 18)))
 
-    def told(i: int) -> np.ndarray:
+    def told(i):
         return compose(away, scene_pose(step_of(i))) if i >= carried_at else scene_pose(i)
 
     run = mapped(tmp_path, Unaware(room(num_frames, step_of), told), num_frames=num_frames, step_of=step_of)

@@ -1,9 +1,7 @@
 import asyncio
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import START_NS, SceneSource
@@ -14,16 +12,12 @@ from hickory_stream.engine.publisher import ReportPublisher
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import OutputError, RecordingError
-from hickory_stream.events import RequestShape
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.perception.choose import make_extractor, make_segmenter
-from hickory_stream.ports import Sink
-from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config
 
@@ -31,11 +25,11 @@ from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_co
 class HeldSegmenter(InstanceSegmenter):
     """Holds its first frame until it is let go."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(SceneSource(NUM_FRAMES).instances)
         self.go_on = threading.Event()
 
-    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame, prior=None, prepared=None):
         assert self.go_on.wait(60)
         return super().segment(frame, prior, prepared)
 
@@ -43,21 +37,20 @@ class HeldSegmenter(InstanceSegmenter):
 class TellingSource(SceneSource):
     """Lets a segmenter go on when it has been read to its end."""
 
-    def __init__(self, segmenter: HeldSegmenter, rounds: int) -> None:
+    def __init__(self, segmenter, rounds):
         super().__init__(NUM_FRAMES)
         self._segmenter = segmenter
         self._rounds = rounds
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         yield from super().frames()
         self._rounds -= 1
         if self._rounds == 0:
             self._segmenter.go_on.set()
 
 
-def fates(path: Path) -> dict[str, int]:
-    frames: dict[str, int] = dict(open_map(path).ledger["frames"])
-    return frames
+def fates(path):
+    return dict(open_map(path).ledger["frames"])
 
 
 def test_a_live_run_that_keeps_up_maps_all_and_replays_the_same(tmp_path):
@@ -89,14 +82,14 @@ def test_frames_during_a_busy_map_are_dropped_and_counted(tmp_path):
 
 
 def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path, monkeypatch):
-    happened: list[str] = []
+    happened = []
     show = ReportPublisher.show
 
-    async def shown(announcer: ReportPublisher, report: FrameReport) -> None:
+    async def shown(announcer, report):
         happened.append(f"shown {report.keyframe_index}")
         await show(announcer, report)
 
-    async def asked(queue: ShapeQueue, request: RequestShape) -> None:
+    async def asked(queue, request):
         del queue
         # A request is due half a second after its keyframe; they are half a second apart.
         happened.append(f"asked {round((request.due_ns - START_NS) / 5e8) - 1}")
@@ -112,19 +105,19 @@ def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("mode", "is_rehearsed"), [("live", True), ("playback", False)])
 def test_a_live_run_tries_its_models_before_the_first_frame(mode, is_rehearsed, tmp_path, monkeypatch):
-    happened: list[str] = []
+    happened = []
 
     class NotingSource(SceneSource):
-        def frames(self) -> Iterator[RawFrame]:
+        def frames(self):
             happened.append("read")
             return super().frames()
 
-    def noted(*_: object) -> None:
+    def noted(*_):
         happened.append("rehearsed")
 
     monkeypatch.setattr("hickory_stream.engine.mapper.rehearse", noted)
 
-    async def run() -> None:
+    async def run():
         async with Mapper(scene_config(tmp_path, *NO_SHAPES), out=tmp_path / "map") as mapper:
             async for _ in mapper.run(NotingSource(1), mode=mode):
                 pass
@@ -146,11 +139,11 @@ def test_a_rehearsal_leaves_nothing_behind():
 
 
 class HangingSink(RememberingSink):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.go_on = threading.Event()
 
-    def show(self, report: FrameReport) -> None:
+    def show(self, report):
         assert self.go_on.wait(60)
         super().show(report)
 
@@ -158,7 +151,7 @@ class HangingSink(RememberingSink):
 def test_a_viewer_that_hangs_holds_nothing_up(tmp_path):
     hanging = HangingSink()
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def sinks(folder):
         from hickory_stream.sinks.disk_sink import DiskSink
 
         # It goes on when the map is there: had it been waited for, that would never be.
@@ -173,11 +166,11 @@ def test_a_viewer_that_hangs_holds_nothing_up(tmp_path):
 class Releasing(RememberingSink):
     """Lets a hanging sink go when it is closed itself."""
 
-    def __init__(self, hanging: HangingSink) -> None:
+    def __init__(self, hanging):
         super().__init__()
         self._hanging = hanging
 
-    def close(self) -> None:
+    def close(self):
         self._hanging.go_on.set()
 
 
@@ -202,11 +195,11 @@ def test_a_killed_live_run_is_saved_up_to_its_last_step(tmp_path, capsys):
 class Restamped(SceneSource):
     """The scene with stamps of one's own, in seconds from the start."""
 
-    def __init__(self, seconds: tuple[float, ...]) -> None:
+    def __init__(self, seconds):
         super().__init__(len(seconds))
         self._seconds = seconds
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         for raw, second in zip(super().frames(), self._seconds, strict=True):
             stamp_ns = START_NS + int(second * 1e9)
             yield replace(raw, stamp_ns=stamp_ns, decode=lambda raw=raw, s=stamp_ns: replace(raw.decode(), stamp_ns=s))
@@ -215,18 +208,18 @@ class Restamped(SceneSource):
 class AnyStamp(InstanceSegmenter):
     """Finds nothing: what is tested here is time."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__({})
 
-    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame, prior=None, prepared=None):
         none = np.zeros(frame.depth_m.shape, dtype=np.int32)
         return InstanceSegmenter({frame.stamp_ns: none}).segment(frame)
 
 
-def jumps(path: Path, seconds: tuple[float, ...], loops: int = 1) -> tuple[list[str], dict[str, int]]:
+def jumps(path, seconds, loops=1):
     map_scene(path, *NO_SHAPES, source=Restamped(seconds), segmenter=AnyStamp(), loops=loops)
     with Journal(path / "map") as journal:
-        kinds = [str(e.kind) for i in range(len(journal)) for e in journal.events(i, "TimeJumped")]  # type: ignore[union-attr]
+        kinds = [str(e.kind) for i in range(len(journal)) for e in journal.events(i, "TimeJumped")]
     return kinds, fates(path / "map")
 
 
@@ -262,7 +255,7 @@ def test_a_frame_that_is_merely_late_is_left_out_and_no_jump(tmp_path):
 
 def test_a_live_frame_that_is_torn_is_counted(tmp_path):
     class Torn(SceneSource):
-        def frames(self) -> Iterator[RawFrame]:
+        def frames(self):
             for raw in super().frames():
                 yield replace(raw, decode=_torn) if raw.index == 3 else raw
 
@@ -272,29 +265,29 @@ def test_a_live_frame_that_is_torn_is_counted(tmp_path):
     assert frames["read"] == NUM_FRAMES == sum(frames.values()) - frames["read"]
 
 
-def _torn() -> Frame:
+def _torn():
     raise RecordingError("a torn image")
 
 
 class SilentSource(SceneSource):
     """Gives some frames, and then none until it is interrupted, as a robot that is gone."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(NUM_FRAMES)
         self.interrupted = threading.Event()
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         yield from islice(super().frames(), 3)
         assert self.interrupted.wait(60)
 
-    def interrupt(self) -> None:
+    def interrupt(self):
         self.interrupted.set()
 
 
 class FailingSink(RememberingSink):
     """Cannot show anything: the disk is full."""
 
-    def show(self, report: FrameReport) -> None:
+    def show(self, report):
         raise OutputError("no space is left")
 
 

@@ -1,26 +1,19 @@
-import asyncio
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_CAMERA, SceneSource
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import Frame, MapSnapshot, RawFrame
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import InstanceSegmenter
+from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene
 
 NUM_FRAMES = 33  # once around the boxes, and a quarter, in steps of 14 degrees
 CAMERA = SCENE_CAMERA.scaled(2 / 3)
 
 
-def step_of(index: int) -> int:
+def step_of(index):
     """The step on the camera's circle of a frame."""
     return 2 * index
 
@@ -29,7 +22,7 @@ def step_of(index: int) -> int:
 SHORT = ("mapping.submaps.travel_m=3.0", "mapping.submaps.loop_latency_s=0.6", "registration.enabled=false")
 
 
-def drift(index: int) -> NDArray[np.float64]:
+def drift(index):
     """What the odometry makes of the world: it turns and shifts, ever more."""
     share = index / NUM_FRAMES
     return from_rotation_translation(yaw_rotation(0.06 * share), np.array([0.25, -0.15, 0.0]) * share)
@@ -38,28 +31,28 @@ def drift(index: int) -> NDArray[np.float64]:
 class DriftingSource(SceneSource):
     """The scene, its poses those of an odometry that drifts."""
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         for raw in super().frames():
             pose = compose(drift(raw.index), raw.world_from_camera)
 
-            def decode(raw: RawFrame = raw, pose: NDArray[np.float64] = pose) -> Frame:
+            def decode(raw=raw, pose=pose):
                 return replace(raw.decode(), world_from_camera=pose)
 
             yield replace(raw, world_from_camera=pose, decode=decode)
 
 
-def run(path: Path, *overrides: str, name: str = "map") -> SceneRun:
+def run(path, *overrides, name="map"):
     source = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
     segmenter = InstanceSegmenter(source.instances)
     return map_scene(path, *NO_SHAPES, *SHORT, *overrides, name=name, source=source, segmenter=segmenter)
 
 
 @pytest.fixture(scope="module")
-def closed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def closed(tmp_path_factory):
     return run(tmp_path_factory.mktemp("closed"))
 
 
-def worst_place_m(found: SceneRun) -> float:
+def worst_place_m(found):
     """How far the last submap is from where it is in truth, against the first one."""
     submap = found.snapshots[-1].submaps[-1]
     there = compose(submap.world_from_submap, drift(NUM_FRAMES - 1))
@@ -68,7 +61,6 @@ def worst_place_m(found: SceneRun) -> float:
 
 def test_the_loop_is_found_and_the_last_submap_is_in_place(closed):
     graph = closed.snapshots[-1].graph
-    assert graph is not None
     accepted = [(edge.earlier, edge.later) for edge in graph.loops if edge.status == "accepted"]
     assert accepted
     assert all(earlier + 2 <= later for earlier, later in accepted)
@@ -87,7 +79,7 @@ def test_the_map_is_reproducible_and_its_journal_replays_it(closed):
 
 
 def test_a_run_stopped_during_a_loop_search_gives_the_same_map(closed, tmp_path):
-    async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def stop(mapper, snapshot):
         if len(snapshot.submaps) == 4:  # the third has ended, and is searched
             mapper.stop()
 
@@ -95,18 +87,7 @@ def test_a_run_stopped_during_a_loop_search_gives_the_same_map(closed, tmp_path)
     segmenter = InstanceSegmenter(source.instances)
     map_scene(tmp_path, *NO_SHAPES, *SHORT, source=source, segmenter=segmenter, on_snapshot=stop, rate=20.0)
 
-    async def resume() -> MapSnapshot:
-        again = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
-        async with Mapper.resuming(
-            tmp_path / "map",
-            segmenter=InstanceSegmenter(again.instances),
-            extractor=MeanColorExtractor(),
-            workers=InProcessWorkers(),
-        ) as mapper:
-            *_, last = [snapshot async for snapshot in mapper.run(again)]
-            return last
-
-    assert map_digest(asyncio.run(resume())) == closed.digest
+    assert resume_scene(tmp_path / "map", DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)) == closed.digest
 
 
 def test_without_loops_the_map_keeps_drift_and_duplicates(tmp_path, closed):

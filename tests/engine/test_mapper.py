@@ -1,15 +1,10 @@
 import asyncio
-from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
+from hickory_stream.errors import RecordingError, ViewerError
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder, create_map_folder
-from hickory_stream.ports import Sink
-from hickory_stream.records import MapSnapshot
-from hickory_stream.testing import BreakingSource
 from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
 
@@ -24,9 +19,8 @@ def test_snapshots_come_in_order_and_the_last_is_the_saved_map(tmp_path):
 
 
 def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path):
-    async def linger(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def linger(mapper, snapshot):
         if snapshot.revision == 1:
-            assert mapper.folder is not None
             while not mapper.folder.manifest.finished_cleanly:  # noqa: ASYNC110 -- the end of a run is no event
                 await asyncio.sleep(0.01)
 
@@ -36,7 +30,7 @@ def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path):
 
 
 def test_a_temporary_map_folder_exists_while_mapping_only():
-    async def run() -> Path:
+    async def run():
         async with Mapper() as mapper:
             async for _ in mapper.run(SceneSource(2)):
                 pass
@@ -49,7 +43,7 @@ def test_a_temporary_map_folder_exists_while_mapping_only():
 def test_leaving_the_loop_early_ends_the_run_and_saves_the_map(tmp_path):
     complaints = []
 
-    async def run() -> None:
+    async def run():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
         async with Mapper(out=tmp_path / "map") as mapper:
             async for _ in mapper.run(SceneSource(8)):
@@ -67,7 +61,7 @@ def test_leaving_the_loop_early_ends_the_run_and_saves_the_map(tmp_path):
 def test_leaving_the_loop_early_leaves_no_temporary_folder(is_broken):
     complaints, folders = [], []
 
-    async def run() -> None:
+    async def run():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
         async with Mapper() as mapper:
             async for _ in mapper.run(SceneSource(8)):
@@ -86,10 +80,10 @@ def test_leaving_the_loop_early_leaves_no_temporary_folder(is_broken):
 
 
 def test_linear_algebra_has_one_thread_while_mapping_only():
-    def threads() -> list[int]:
+    def threads():
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
-    async def run() -> list[int]:
+    async def run():
         async with Mapper():
             return threads()
 
@@ -99,7 +93,7 @@ def test_linear_algebra_has_one_thread_while_mapping_only():
 
 
 def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
-    async def leave(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def leave(mapper, snapshot):
         if snapshot.revision >= 4:
             raise InterruptedError
 
@@ -109,35 +103,26 @@ def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
     assert shape_workers() == []
 
 
-def test_an_error_of_the_source_leaves_the_loop_over_snapshots(tmp_path):
-    source = BreakingSource(SceneSource(NUM_FRAMES), 3, RecordingError("torn"))
-    with pytest.raises(RecordingError, match="torn"):
-        map_scene(tmp_path, *NO_SHAPES, source=source)
-
-
-def test_a_source_without_frames_is_refused_and_leaves_no_map(tmp_path):
-    with pytest.raises(RecordingError, match=r"memory:scene gave no usable frame \(frames 0\)"):
-        map_scene(tmp_path, source=SceneSource(0))
-    assert not (tmp_path / "map").exists()
-
-
-def test_a_source_without_depth_is_refused_and_leaves_no_map(tmp_path):
-    with pytest.raises(RecordingError, match=rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"):
-        map_scene(tmp_path, source=FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)))
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        (SceneSource(0), r"memory:scene gave no usable frame \(frames 0\)"),
+        (
+            FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)),
+            rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes",
+        ),
+    ],
+)
+def test_a_source_without_frames_or_depth_leaves_no_map(tmp_path, source, told):
+    with pytest.raises(RecordingError, match=told):
+        map_scene(tmp_path, source=source)
     assert not (tmp_path / "map").exists()
 
 
 def test_a_sink_that_cannot_be_made_leaves_no_map(tmp_path):
-    def fail(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def fail(folder):
         raise ViewerError("there is no screen")
 
     with pytest.raises(ViewerError, match="no screen"):
         map_scene(tmp_path, sinks=fail)
     assert not (tmp_path / "map").exists()
-
-
-def test_an_existing_map_is_refused_before_playing(tmp_path):
-    create_map_folder(tmp_path / "map", config={}, source={})
-    with pytest.raises(MapFolderError, match="holds a map already"):
-        map_scene(tmp_path)
-    assert (tmp_path / "map/manifest.json").exists()

@@ -5,7 +5,7 @@ from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.async_tools import StopRequest
 from hickory_stream.engine.keyframe_places import keyframe_surface
-from hickory_stream.engine.reading import QueuedFrame, Reader, sensed
+from hickory_stream.engine.reading import Reader, sensed
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -51,7 +51,7 @@ def test_a_playback_keyframe_comes_with_all_that_needs_no_map():
 
 
 def test_at_30_hz_the_next_keyframe_is_ready_in_advance():
-    async def ready() -> list[QueuedFrame]:
+    async def ready():
         reader = _reader()
         await _reading(reader, SceneSource(16, period_ns=33_333_333))
         reads = await _taken(reader)
@@ -62,7 +62,7 @@ def test_at_30_hz_the_next_keyframe_is_ready_in_advance():
 
 
 def test_few_keyframes_wait_decoded_and_a_waiting_reader_ends():
-    async def left() -> list[QueuedFrame]:
+    async def left():
         reader = _reader()
         async with asyncio.TaskGroup() as group:
             group.create_task(_reading(reader, SceneSource(12)))
@@ -76,7 +76,7 @@ def test_few_keyframes_wait_decoded_and_a_waiting_reader_ends():
     assert len(asyncio.run(left())) == 3
 
 
-async def _read(source: SceneSource) -> list[QueuedFrame]:
+async def _read(source):
     reader = _reader()
     async with asyncio.TaskGroup() as group:
         group.create_task(_reading(reader, source))
@@ -85,16 +85,16 @@ async def _read(source: SceneSource) -> list[QueuedFrame]:
     return reads
 
 
-def _reader() -> Reader:
+def _reader():
     return Reader(MapperConfig(), SEGMENTER, ColorTextureDescriptor(), StopRequest(), mode="playback")
 
 
-async def _reading(reader: Reader, source: SceneSource) -> None:
+async def _reading(reader, source):
     await reader.read(source, rate=None, loops=1, start=Position())
 
 
-async def _taken(reader: Reader) -> list[QueuedFrame]:
-    taken: list[QueuedFrame] = []
+async def _taken(reader):
+    taken = []
     while (some := await reader.take()) is not None:
         taken += some
     return taken

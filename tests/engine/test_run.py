@@ -1,27 +1,21 @@
 import json
-from collections.abc import Callable
 import pytest
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
-from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Progress
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder
-from hickory_stream.ports import Sink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SlowSink
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene, shape_workers
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers, stop_at
 
 
 @pytest.fixture
-def calm_digest(undisturbed_run: SceneRun) -> str:
+def calm_digest(undisturbed_run):
     """The digest of the map that one worker makes undisturbed."""
     assert undisturbed_run.folder.manifest.config["run"]["workers"] == 1
-    assert undisturbed_run.digest is not None
     return undisturbed_run.digest
 
 
-def saved_with(*others: tuple[Sink, bool]) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
+def saved_with(*others):
     """Return a maker of sinks: the disk after every keyframe, and others."""
     return lambda folder: [(DiskSink(folder, DiskSinkConfig(every_keyframes=1)), True), *others]
 
@@ -32,7 +26,6 @@ def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run):
     assert saved.manifest.finished_cleanly
     assert len(saved.snapshot.objects) == 3
     for tracked in saved.snapshot.objects:
-        assert tracked.shape is not None
         assert len(saved.mesh(tracked.shape).faces) > 0
         assert 1 <= len(tracked.shape.fitted) <= len(tracked.shape.inflated)
     assert saved.ledger["frames"] == {"read": NUM_FRAMES, "keyframes": NUM_FRAMES}
@@ -44,9 +37,9 @@ def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run):
 
 
 def test_a_killed_worker_is_replaced_and_the_map_is_the_same(tmp_path, calm_digest):
-    killed: list[int] = []
+    killed = []
 
-    def kill_once(_: Mapper, progress: Progress) -> None:
+    def kill_once(_, progress):
         if progress.open_shapes and not killed:
             for child in shape_workers()[:1]:
                 killed.append(child.pid)
@@ -133,11 +126,7 @@ def test_a_source_with_its_own_error_leaves_no_child(tmp_path):
 
 
 def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path):
-    def stop(mapper: Mapper, progress: Progress) -> None:
-        if progress.keyframes == 2:
-            mapper.stop()
-
-    run = map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop, child_workers=True)
+    run = map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop_at(2), child_workers=True)
     saved = open_map(run.folder.path)
     assert not saved.manifest.finished_cleanly
     assert 2 <= saved.ledger["frames"]["keyframes"] < NUM_FRAMES
@@ -146,7 +135,7 @@ def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path):
 
 
 def test_a_stop_does_not_wait_for_all_last_shapes(tmp_path):
-    def stop(mapper: Mapper, progress: Progress) -> None:
+    def stop(mapper, progress):
         if progress.phase == "shapes":
             mapper.stop()
 
@@ -159,10 +148,6 @@ def test_a_stop_does_not_wait_for_all_last_shapes(tmp_path):
 
 
 def test_a_job_that_runs_at_a_stop_gets_the_grace_period(tmp_path):
-    def stop(mapper: Mapper, progress: Progress) -> None:
-        if progress.keyframes == 5:
-            mapper.stop()
-
-    run = map_scene(tmp_path, "run.grace_s=60.0", on_progress=stop)
+    run = map_scene(tmp_path, "run.grace_s=60.0", on_progress=stop_at(5))
     ledger = json.loads((run.folder.path / "ledger.json").read_text())["shapes"]
     assert ledger["requested"] == ledger["ready"] >= 1

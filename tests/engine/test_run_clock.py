@@ -12,13 +12,13 @@ SECOND_NS = 1_000_000_000
 START_NS, LAST_NS = 90 * SECOND_NS, 100 * SECOND_NS
 
 
-def read_at(stamp_ns: int, *, index: int = 0, round_index: int = 0, first_index: int = 0) -> QueuedFrame:
+def read_at(stamp_ns, *, index=0, round_index=0, first_index=0):
     raw = replace(RAW, index=index, stamp_ns=stamp_ns)
     return QueuedFrame(raw=raw, round_index=round_index, first_index=first_index, is_candidate=True)
 
 
 @pytest.fixture
-def clock() -> RunClock:
+def clock():
     """A clock after two frames, ten seconds apart."""
     clock = RunClock(time_jump_s=5.0)
     clock.advance(read_at(START_NS))

@@ -6,21 +6,20 @@ import pytest
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.errors import MapFolderError
-from hickory_stream.ports import Sink
 from hickory_stream.records import FrameReport
-from hickory_stream.testing import FailingSink, RememberingSink, SlowSink
+from hickory_stream.testing import FailingSink, RememberingSink
 
 NUM_REPORTS = 60
 
 
-def report(index: int) -> FrameReport:
+def report(index):
     return FrameReport(
         index=index, stamp_ns=index, keyframe_index=None, camera=SCENE_CAMERA, world_from_camera=np.eye(4),
         color_bytes=None,
     )  # fmt: skip
 
 
-async def show_all(sink: Sink, *, is_essential: bool) -> SinkThread:
+async def show_all(sink, *, is_essential):
     thread = SinkThread(sink, is_essential=is_essential)
     for i in range(NUM_REPORTS):
         await thread.show(report(i))
@@ -35,12 +34,6 @@ def test_reports_come_in_order_and_then_the_sink_is_closed(is_essential):
     assert [shown.index for shown in sink.reports] == list(range(NUM_REPORTS))
     assert sink.is_closed
     assert thread.backlog == 0
-
-
-def test_a_slow_sink_loses_no_report():
-    remembered = RememberingSink()
-    asyncio.run(show_all(SlowSink(remembered, 0.002), is_essential=False))
-    assert [shown.index for shown in remembered.reports] == list(range(NUM_REPORTS))
 
 
 def test_a_failing_optional_sink_is_dropped_with_one_warning(caplog):
@@ -61,7 +54,7 @@ def test_a_failing_essential_sink_stops_the_run(at):
 
 def test_a_sink_that_fails_to_close_counts_as_failing():
     class FailingToClose(RememberingSink):
-        def close(self) -> None:
+        def close(self):
             raise MapFolderError("the last save failed")
 
     asyncio.run(show_all(FailingToClose(), is_essential=False))
@@ -74,10 +67,10 @@ def test_a_hanging_optional_sink_does_not_delay_the_end(num_reports, monkeypatch
     released = threading.Event()
 
     class Hanging(RememberingSink):
-        def show(self, report: FrameReport) -> None:
+        def show(self, report):
             released.wait(20)
 
-    async def show_some() -> None:
+    async def show_some():
         thread = SinkThread(Hanging(), is_essential=False)
         for i in range(num_reports):
             await thread.show(report(i))
@@ -92,7 +85,7 @@ def test_a_hanging_optional_sink_does_not_delay_the_end(num_reports, monkeypatch
 
 def test_a_sink_that_failed_is_closed_all_the_same():
     class Failing(RememberingSink):
-        def show(self, report: FrameReport) -> None:
+        def show(self, report):
             raise RuntimeError
 
     sink = Failing()

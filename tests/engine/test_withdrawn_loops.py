@@ -3,23 +3,17 @@
 The search is stood in for by one that gives a wrong loop between two places that look alike, and true ones later.
 """
 
-import asyncio
-from collections.abc import Iterator
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_CAMERA, SceneBox, SceneSource
 from hickory_stream.engine import loop_closing
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.loops.search import LoopQuery
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import Loop, MapSnapshot
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.records import Loop
+from hickory_stream.testing import InstanceSegmenter
+from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene
 
 NUM_FRAMES, APART_M = 20, 0.6
 # No face lies on the border of two cells, where the rounding of points would choose between them.
@@ -36,7 +30,7 @@ CONFIG = (
 )
 
 
-def loop(earlier: int, later: int, shift_m: float) -> Loop:
+def loop(earlier, later, shift_m):
     """A sure loop that has the later submap off by a shift along x."""
     return Loop(
         earlier=earlier, later=later,
@@ -45,7 +39,7 @@ def loop(earlier: int, later: int, shift_m: float) -> Loop:
     )  # fmt: skip
 
 
-def found(query: LoopQuery, *_: object) -> tuple[Loop, ...]:
+def found(query, *_):
     """What the search answers: a wrong loop for submap 2, true ones for those after the next one."""
     if query.later_id == 2:
         return (loop(0, 2, -APART_M),)
@@ -53,23 +47,23 @@ def found(query: LoopQuery, *_: object) -> tuple[Loop, ...]:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def search() -> Iterator[None]:
+def search():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop_closing, "search_loops", found)
         yield
 
 
-def source() -> SceneSource:
+def source():
     return SceneSource(NUM_FRAMES, BOXES, camera=SCENE_CAMERA.scaled(1 / 2), step_of=lambda index: 2 * index)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def whole(tmp_path_factory):
     folder, scene = tmp_path_factory.mktemp("whole"), source()
     return map_scene(folder, *NO_SHAPES, *CONFIG, source=scene, segmenter=InstanceSegmenter(scene.instances))
 
 
-def centers(snapshot: MapSnapshot) -> NDArray[np.float64]:
+def centers(snapshot):
     return np.array([item.box.center[:2] for item in snapshot.objects])
 
 
@@ -105,7 +99,7 @@ def test_its_journal_replays_the_map_and_the_believed_past(whole):
 
 
 def test_a_run_stopped_while_believing_it_gives_the_same_map(whole, tmp_path):
-    async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def stop(mapper, snapshot):
         if len(snapshot.objects) == 5:
             mapper.stop()
 
@@ -115,12 +109,4 @@ def test_a_run_stopped_while_believing_it_gives_the_same_map(whole, tmp_path):
         rate=20.0,
     )  # fmt: skip
 
-    async def resume() -> MapSnapshot:
-        segmenter = InstanceSegmenter(scene.instances)
-        async with Mapper.resuming(
-            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            *_, last = [snapshot async for snapshot in mapper.run(source())]
-            return last
-
-    assert map_digest(asyncio.run(resume())) == whole.digest
+    assert resume_scene(tmp_path / "map", source()) == whole.digest

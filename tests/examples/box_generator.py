@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 
-def main(misdeeds: list[str]) -> None:
+def main(misdeeds):
     """Serve jobs until standard input ends."""
     say({"ready": True, "model": "box", "version": "1"})
     for line in sys.stdin:
@@ -31,13 +31,13 @@ def main(misdeeds: list[str]) -> None:
         say({"done": asked["job"]})
 
 
-def say(message: dict[str, object]) -> None:
+def say(message):
     """Print one line of the protocol."""
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 
-def answer(folder: Path, job: str, misdeeds: list[str]) -> None:
+def answer(folder, job, misdeeds):
     """Write the box in a frame of its own: half as large, lying on its side; or why there is none."""
     # Weights would be loaded before it is ready; these make a process that never answers start at once.
     import cv2

@@ -1,8 +1,6 @@
 """Example of a sink: a CSV file with one row for each object of each keyframe."""
 
 import csv
-from pathlib import Path
-from hickory_stream.records import FrameReport
 
 COLUMNS = ("stamp_ns", "object_id", "phase", "x_m", "y_m", "z_m", "sightings", "has_shape")
 
@@ -10,12 +8,12 @@ COLUMNS = ("stamp_ns", "object_id", "phase", "x_m", "y_m", "z_m", "sightings", "
 class CsvSink:
     """Writes `path` row by row; the constructor raises OSError if the file cannot be opened."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         self._stream = path.open("w", encoding="utf-8", newline="")
         self._table = csv.writer(self._stream)
         self._table.writerow(COLUMNS)
 
-    def show(self, report: FrameReport) -> None:
+    def show(self, report):
         """Write the objects of the map after a keyframe; reports of other frames have no snapshot."""
         if report.snapshot is None:
             return
@@ -26,6 +24,6 @@ class CsvSink:
             )
         self._stream.flush()
 
-    def close(self) -> None:
+    def close(self):
         """Close the file."""
         self._stream.close()

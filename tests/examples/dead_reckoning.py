@@ -1,10 +1,8 @@
 """Example of an odometry: dead reckoning, which accumulates motion measured elsewhere, e.g. by wheel encoders."""
 
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import compose
 from hickory_stream.ports import NotRegistered, Registered
-from hickory_stream.records import Scan
 
 
 class DeadReckoning:
@@ -12,10 +10,10 @@ class DeadReckoning:
 
     name = "dead-reckoning"
 
-    def __init__(self) -> None:
+    def __init__(self):
         self._start_from_sensor = np.eye(4)
 
-    def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
+    def register(self, scan, last_from_scan=None):
         """Return the accumulated motion; all directions are degenerate, since no surface constrains them."""
         if not len(scan.points):
             return NotRegistered(reason="0 points; expected 1 and more")

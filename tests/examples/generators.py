@@ -9,7 +9,7 @@ from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
 HERE = Path(__file__).parent
 
 
-def box_spec(*misdeeds: str, start_s: float = 60.0, time_s: float = 60.0, memory_mb: float = 4000.0) -> GeneratorSpec:
+def box_spec(*misdeeds, start_s=60.0, time_s=60.0, memory_mb=4000.0):
     """Return `box_generator.py` as a generator, with what it is to do wrong."""
     return GeneratorSpec(
         name="box-generator", command=(sys.executable, "box_generator.py", *misdeeds), licence="Apache-2.0",
@@ -18,6 +18,6 @@ def box_spec(*misdeeds: str, start_s: float = 60.0, time_s: float = 60.0, memory
 
 
 @cache
-def box_generator() -> ExternalGenerator:
+def box_generator():
     """Return the one process of the example; it ends when this one does."""
     return ExternalGenerator(box_spec())

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import NoShape, Reconstruction
 
 _MIN_POINTS, _KEPT_SHARE, _EDGE_M, _SEEN_M = 20, 0.98, 0.03, 0.02
 
@@ -16,7 +16,7 @@ class HullReconstructor:
 
     name = "hull"
 
-    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+    def reconstruct(self, inputs):
         """Return the hull in the frame of the object's box."""
         shown = [
             apply(crop.world_from_camera, backproject(crop.depth_m, crop.camera)[crop.mask & np.isfinite(crop.depth_m)])

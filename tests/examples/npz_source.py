@@ -1,9 +1,7 @@
 """Example of a source: posed RGB-D frames from a NumPy archive."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from zipfile import BadZipFile
 import numpy as np
 from hickory_stream.errors import RecordingError
@@ -16,7 +14,7 @@ ARRAYS = ("rgb", "depth_m", "stamps_ns", "world_from_camera", "intrinsics")
 class NpzSource:
     """Plays `rgb` (N, H, W, 3), `depth_m` (N, H, W), `stamps_ns` (N,), `world_from_camera` (N, 4, 4), `intrinsics`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         try:
             with path.open("rb") as file, np.load(file) as archive:
                 self._rgb, self._depth_m, self._stamps_ns, self._poses, lens = (archive[name] for name in ARRAYS)
@@ -31,7 +29,7 @@ class NpzSource:
             streams=(("color", "rgb"), ("depth", "depth_m"), ("pose", "world_from_camera")),
         )  # fmt: skip
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         """Yield the frames from the beginning."""
         stamped = zip(self._stamps_ns.tolist(), self._poses, strict=True)
         for i, (stamp_ns, pose) in enumerate(stamped):
@@ -39,9 +37,9 @@ class NpzSource:
             known = {"index": i, "stamp_ns": stamp_ns, "world_from_camera": pose, "camera": self.info.camera}
             yield RawFrame(**known, decode=partial(Frame, **known, rgb=self._rgb[i], depth_m=self._depth_m[i]))
 
-    def ledger(self) -> Mapping[str, int]:
+    def ledger(self):
         """Return how many frames the latest pass has yielded."""
         return {"frames": self._num_yielded}
 
-    def close(self) -> None:
+    def close(self):
         """Do nothing: the arrays are in memory."""

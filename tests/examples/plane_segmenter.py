@@ -1,11 +1,10 @@
 """Example of a segmenter: connected image regions that rise above the lowest horizontal plane."""
 
 import numpy as np
-from numpy.typing import NDArray
 from skimage.measure import label
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.records import Frame, MapPrior, Segmentation
+from hickory_stream.records import Segmentation
 
 _LEVEL_M, _MIN_SHARE, _MIN_PIXELS = 0.02, 0.1, 20
 
@@ -13,12 +12,12 @@ _LEVEL_M, _MIN_SHARE, _MIN_PIXELS = 0.02, 0.1, 20
 class PlaneSegmenter:
     """Instances are regions more than two height bins above the floor, with at least `_MIN_PIXELS` pixels."""
 
-    def prepare(self, frame: Frame) -> NDArray[np.float64]:
+    def prepare(self, frame):
         """Return (H, W) the height of each pixel's point, NaN without depth; the map is not needed."""
         points_camera = backproject(frame.depth_m, frame.camera).astype(np.float64)
         return apply(frame.world_from_camera, points_camera.reshape(-1, 3))[:, 2].reshape(frame.depth_m.shape)
 
-    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame, prior=None, prepared=None):
         """Return the instances and the floor; `prior` is not used."""
         del prior
         heights = prepared if isinstance(prepared, np.ndarray) else self.prepare(frame)

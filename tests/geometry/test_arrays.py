@@ -18,12 +18,6 @@ def test_changing_the_original_does_not_change_the_frozen_array():
     assert frozen.tolist() == [0, 0, 0]
 
 
-def test_the_original_stays_writable():
-    original = np.zeros(3)
-    frozen_array(original, np.float64, (3,), "x")
-    assert original.flags.writeable
-
-
 def test_a_frozen_array_is_not_copied_again():
     frozen = frozen_array(np.arange(4), np.int64, (4,), "x")
     assert frozen_array(frozen, np.int64, (None,), "x") is frozen

@@ -8,21 +8,21 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
 from hickory_stream.geometry.boxes import OrientedBox, box_iou, faced_box, gravity_aligned_box, intersection_volume_m3
 from hickory_stream.geometry.rigid import from_rotation_translation
-from tests.strategies import oriented_boxes, point_sets, rigid_transforms, seeds
+from tests.strategies import oriented_boxes, point_sets, rigid_transforms
 
 
-def box(center: tuple[float, ...] = (0, 0, 0), half: tuple[float, ...] = (1, 1, 1), turn_deg: float = 0) -> OrientedBox:
+def box(center=(0, 0, 0), half=(1, 1, 1), turn_deg=0):
     rotation = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
     return OrientedBox(
         world_from_box=from_rotation_translation(rotation, np.array(center)), half_extents_m=np.array(half)
     )
 
 
-def moved(a: OrientedBox, b_from_world: np.ndarray) -> OrientedBox:
+def moved(a, b_from_world):
     return OrientedBox(world_from_box=b_from_world @ a.world_from_box, half_extents_m=a.half_extents_m)
 
 
-def halfspaces(a: OrientedBox) -> np.ndarray:
+def halfspaces(a):
     """Six rows (n, -h) of the planes n . p <= h of a box."""
     normals = np.concatenate([a.world_from_box[:3, :3].T, -a.world_from_box[:3, :3].T])
     heights = normals @ a.center + np.tile(a.half_extents_m, 2)
@@ -38,12 +38,6 @@ def test_a_cube_and_its_shifted_copy_share_the_rest(shift):
 def test_cubes_turned_by_45_degrees_share_an_octagonal_prism():
     # A regular octagon with inradius 1 has the area 8 (sqrt 2 - 1); the prism is 2 high.
     assert intersection_volume_m3(box(), box(turn_deg=45)) == pytest.approx(8 * (math.sqrt(2) - 1) * 2, rel=1e-12)
-
-
-def test_a_box_within_another_is_their_intersection():
-    inner = box((0.1, -0.2, 0.05), (0.3, 0.2, 0.1), turn_deg=30)
-    assert intersection_volume_m3(box(), inner) == pytest.approx(8 * 0.3 * 0.2 * 0.1, rel=1e-12)
-    assert box_iou(box(), inner) == pytest.approx(8 * 0.006 / 8, rel=1e-12)
 
 
 @pytest.mark.parametrize("offset", [(2, 0, 0), (0, 2, 0), (2, 2, 0), (2, 2, 2), (2, 0.5, -0.3)])
@@ -69,15 +63,6 @@ def test_faces_that_two_boxes_share_count_once(a, axis, side, share):
         world_from_box=a.world_from_box @ from_rotation_translation(np.eye(3), offset), half_extents_m=half
     )
     assert intersection_volume_m3(a, slab) == pytest.approx(share * a.volume_m3, rel=1e-6)
-
-
-def test_a_box_with_permuted_axes_is_the_same_box():
-    a = box((0.3, 0.1, -0.2), (0.2, 0.5, 0.9), turn_deg=20)
-    b = OrientedBox(
-        world_from_box=a.world_from_box @ from_rotation_translation(np.eye(3)[:, [1, 2, 0]], np.zeros(3)),
-        half_extents_m=a.half_extents_m[[1, 2, 0]],
-    )
-    assert box_iou(a, b) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("thickness", [1e-2, 1e-4, 1e-6])
@@ -115,16 +100,6 @@ def test_the_iou_is_symmetric_and_a_share(a, b):
 def test_the_iou_does_not_change_when_both_boxes_move_together(a, b, b_from_world):
     together = box_iou(moved(a, b_from_world), moved(b, b_from_world))
     assert together == pytest.approx(box_iou(a, b), abs=1e-7)
-
-
-@given(oriented_boxes(), oriented_boxes(), seeds)
-def test_the_intersection_agrees_with_sampling(a, b, seed):
-    local = np.random.default_rng(seed).uniform(-1, 1, (20_000, 3)) * a.half_extents_m
-    points = local @ a.world_from_box[:3, :3].T + a.center
-    in_b = (np.abs((points - b.center) @ b.world_from_box[:3, :3]) <= b.half_extents_m).all(axis=1)
-    # One in 20 000 would be seen once on average: its standard error is the least that is known.
-    error = a.volume_m3 * math.sqrt(max(in_b.mean() * (1 - in_b.mean()), 1 / 20_000) / 20_000)
-    assert abs(intersection_volume_m3(a, b) - in_b.mean() * a.volume_m3) <= 5 * error
 
 
 @given(oriented_boxes(), oriented_boxes())
@@ -207,7 +182,7 @@ def test_a_flat_cloud_gets_a_box_of_the_least_thickness(points, half):
     assert a.contains(np.array(points), 1e-6).all()
 
 
-def two_sides(yaw_rad: float, width_m: float = 1.2, depth_m: float = 0.5) -> np.ndarray:
+def two_sides(yaw_rad, width_m=1.2, depth_m=0.5):
     """The front and a part of one side of a cupboard, as a camera sees them."""
     along = np.linspace(0, 1, 60)
     front = np.stack([width_m * along, 0 * along], axis=1)

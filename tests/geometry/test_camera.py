@@ -6,7 +6,7 @@ from hickory_stream.geometry.camera import Camera, backproject, project
 from tests.strategies import cameras, seeds
 
 
-def rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+def rays(camera, pixels):
     """Directions (x, y, 1) through pixel coordinates, by the inverse of the intrinsic matrix."""
     return np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(camera.K).T
 

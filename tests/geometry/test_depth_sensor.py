@@ -8,7 +8,7 @@ from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig, sigm
 KINECT = DepthSensor(noise_per_m=0.0019, noise_m=0.0012)
 
 
-def depths(*values: float) -> np.ndarray:
+def depths(*values):
     return np.array([values], dtype=np.float32)
 
 

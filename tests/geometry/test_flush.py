@@ -7,7 +7,7 @@ LAW = DepthSensor(noise_per_m=0.002).law
 WALL = (0.0, 0.0, 1.0, 0.0)
 
 
-def seen(heights: np.ndarray, sigma_m: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def seen(heights, sigma_m, seed=0):
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0, 0.5, (2, len(heights)))
     noisy = heights + sigma_m * rng.standard_normal(len(heights))

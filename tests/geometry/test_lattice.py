@@ -12,7 +12,6 @@ STEPS = hnp.arrays(np.int32, st.tuples(st.integers(0, 20), st.just(3)), elements
 def test_points_at_steps_come_back_to_the_bit(steps, steps_per_m):
     points = points_of(steps, steps_per_m)
     data = packed_points(points, steps_per_m)
-    assert data is not None
     assert len(data) == 12 * len(points)
     assert points_of(unpacked_steps(data, len(points)), steps_per_m).tobytes() == points.tobytes()
 

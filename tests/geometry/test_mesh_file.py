@@ -12,7 +12,7 @@ from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, on_steps
 from hickory_stream.geometry.mesh import Mesh, glb_bytes, sha256_of
 
 
-def ball(num_colors: int = 7, *, is_at_steps: bool = False) -> Mesh:
+def ball(num_colors=7, *, is_at_steps=False):
     solid = trimesh.creation.icosphere(3)
     vertices = solid.vertices.astype(np.float32)
     return Mesh(

@@ -16,7 +16,7 @@ ANGLES = np.concatenate(
 POSITIVE = np.concatenate([10.0 ** np.linspace(-307, 308, 3001), np.linspace(0.5, 2, 3001), [5e-324, 1e-310]])
 
 
-def units_off(found: object, wanted: list[float]) -> float:
+def units_off(found, wanted):
     """Return by how many units in the last place values are off at most; both must agree where they are not finite."""
     a, b = np.asarray(found), np.asarray(wanted)
     assert np.array_equal(np.isnan(a), np.isnan(b))

@@ -7,13 +7,13 @@ from hickory_stream.geometry.superquadric import Superquadrics, canonical, impli
 from tools.evaluation.shape_score import shape_score
 
 
-def random_rotation(rng: np.random.Generator) -> np.ndarray:
+def random_rotation(rng):
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return q * np.sign(np.linalg.det(q))
 
 
 @st.composite
-def objects(draw: st.DrawFn) -> Superquadrics:
+def objects(draw):
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
     count = draw(st.integers(1, 5))
     exponents = rng.uniform(0.1, 2.0, (count, 2))
@@ -26,7 +26,7 @@ def objects(draw: st.DrawFn) -> Superquadrics:
     return Superquadrics(exponents=exponents, semi_axes_m=semi_axes, world_from_local=poses)
 
 
-def in_another_form(primitives: Superquadrics, rng: np.random.Generator) -> Superquadrics:
+def in_another_form(primitives, rng):
     """Return the same bodies, moved rigidly, shuffled, with their axes named in other ways."""
     exponents, axes = primitives.exponents.copy(), primitives.semi_axes_m.copy()
     poses = primitives.world_from_local.copy()
@@ -106,7 +106,7 @@ def test_a_column_over_a_diamond_is_written_as_its_dual():
 
 
 def test_the_score_of_a_sphere_is_worked_out_by_hand():
-    def one(exponents: tuple[float, float], axes: tuple[float, float, float]) -> Superquadrics:
+    def one(exponents, axes):
         return Superquadrics(
             exponents=np.array([exponents]), semi_axes_m=np.array([axes]), world_from_local=np.eye(4)[None]
         )

@@ -21,7 +21,7 @@ semi_axis = st.floats(0.005, 3.0)
 
 
 @st.composite
-def quadrics(draw: st.DrawFn) -> Superquadrics:
+def quadrics(draw):
     quaternion = [draw(st.floats(-1, 1)) for _ in range(3)] + [draw(st.floats(0.1, 1))]
     pose = from_rotation_translation(
         rotation_from_quaternion(*quaternion), np.array([draw(st.floats(-50, 50)) for _ in range(3)])
@@ -33,13 +33,13 @@ def quadrics(draw: st.DrawFn) -> Superquadrics:
     )
 
 
-def one(exponents: tuple[float, float], semi_axes: tuple[float, float, float]) -> Superquadrics:
+def one(exponents, semi_axes):
     return Superquadrics(
         exponents=np.array([exponents]), semi_axes_m=np.array([semi_axes]), world_from_local=np.eye(4)[None]
     )
 
 
-def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+def signed_volume(vertices, faces):
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 

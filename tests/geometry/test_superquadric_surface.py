@@ -13,7 +13,7 @@ exponent = st.floats(0.1, 2.0)
 
 
 @st.composite
-def at_the_origin(draw: st.DrawFn) -> Superquadrics:
+def at_the_origin(draw):
     return Superquadrics(
         exponents=np.array([[draw(exponent), draw(exponent)]]),
         semi_axes_m=np.array([[draw(axis), draw(axis), draw(axis)]]),
@@ -21,13 +21,13 @@ def at_the_origin(draw: st.DrawFn) -> Superquadrics:
     )
 
 
-def in_all_directions(primitive: Superquadrics, count: int) -> np.ndarray:
+def in_all_directions(primitive, count):
     """Return points of the surface by the usual parameters, which the mesh does not use."""
     rng = np.random.default_rng(0)
     e1, e2 = primitive.exponents[0]
     eta, omega = rng.uniform(-np.pi / 2, np.pi / 2, count), rng.uniform(-np.pi, np.pi, count)
 
-    def power(value: np.ndarray, exponent: float) -> np.ndarray:
+    def power(value, exponent):
         return np.sign(value) * np.abs(value) ** exponent
 
     unit = np.stack(
@@ -71,7 +71,7 @@ def test_the_mesh_is_closed_and_looks_outwards(primitive):
 
 
 def test_flat_surface_needs_few_vertices():
-    def vertices(exponents: tuple[float, float], share: float) -> int:
+    def vertices(exponents, share):
         body = Superquadrics(
             exponents=np.array([exponents]), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None]
         )

@@ -24,11 +24,11 @@ from tests.strategies import integer_cells, seeds
 few_cells = integer_cells(largest=6, max_size=20)
 
 
-def sorted_keys(cells: np.ndarray) -> np.ndarray:
+def sorted_keys(cells):
     return np.unique(keys_of_cells(cells))
 
 
-def neighbours(cells: np.ndarray) -> set[tuple[int, ...]]:
+def neighbours(cells):
     steps = list(itertools.product((-1, 0, 1), repeat=3))
     return {tuple(int(v) for v in np.add(cell, step)) for cell in cells for step in steps}
 

@@ -17,12 +17,12 @@ THING_M, WALL_M = 2.0, 4.0
 ON_THING, ON_WALL, WITHOUT_DEPTH, REJECTED = (32.0, 24.0), (55.0, 8.0), (3.0, 24.0), (50.0, 40.0)
 
 
-def point_at(pixel: tuple[float, float], depth_m: float) -> np.ndarray:
+def point_at(pixel, depth_m):
     """(3,) in the camera's frame, which is the odometry's."""
     return rays_of(CAMERA, np.array([pixel]))[0] * depth_m
 
 
-def a_keyframe(*, map_from_odometry: np.ndarray | None = None) -> RecordedKeyframe:
+def a_keyframe(*, map_from_odometry=None):
     depth_m = np.full((48, 64), WALL_M, dtype=np.float32)
     depth_m[18:30, 26:38] = THING_M
     depth_m[:, :8] = np.nan

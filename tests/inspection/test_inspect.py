@@ -1,11 +1,10 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.cli import main
-from hickory_stream.inspection.inspect import MapSummary, as_json, chosen, format_table, summarize
+from hickory_stream.inspection.inspect import as_json, chosen, format_table, summarize
 from hickory_stream.inspection.object_geometry import place_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
@@ -14,7 +13,7 @@ from tests.engine.snapshot_fixtures import box_mesh, make_snapshot
 
 
 @pytest.fixture
-def map_path(tmp_path: Path) -> Path:
+def map_path(tmp_path):
     folder = create_map_folder(tmp_path / "m", config={}, source={"uri": "desk.mcap"})
     folder.save(make_snapshot(folder))
     folder.write_json("timings.json", {"layer1_s": 1.5, "layer2_s": 0.5, "layer3_s": 0.25})
@@ -23,7 +22,7 @@ def map_path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def summary(map_path: Path) -> MapSummary:
+def summary(map_path):
     return summarize(open_map(map_path))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hickory_stream.config import MapperConfig
-from hickory_stream.inspection.point_sighting import PlaceSighting, sighting_of
+from hickory_stream.inspection.point_sighting import sighting_of
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
 from tests.engine.snapshot_fixtures import placed
@@ -19,9 +19,7 @@ from tests.inspection.keyframe_fixtures import (
 )
 
 
-def seen(
-    pixel: tuple[float, float], depth_m: float, *, shift_m: tuple[float, float, float] = (0, 0, 0)
-) -> PlaceSighting | None:
+def seen(pixel, depth_m, *, shift_m=(0, 0, 0)):
     """What the keyframe took the place for that is so far along a pixel's ray; its mask went to #5."""
     book = TrackHistories()
     book.add(7, [Decision(kind="create", object_id=5, text="", observation_index=0)])

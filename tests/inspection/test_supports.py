@@ -4,12 +4,11 @@ import pytest
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.inspection import supports
-from hickory_stream.inspection.supports import ObjectBody, _body, support_text, supports_of
+from hickory_stream.inspection.supports import _body, support_text, supports_of
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.rules.support_graph import Relation, Support
-from hickory_stream.records import MapSnapshot, TrackedObject
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
 CONFIG = MappingConfig(voxels=Lattice(object_m=VOXEL_M))
@@ -17,7 +16,7 @@ PLACE = from_rotation_translation(yaw_rotation(0.7), np.array([4.0, 1.0, 0.2]))
 
 
 @pytest.fixture
-def snapshot() -> MapSnapshot:
+def snapshot():
     """A box on the floor, and a smaller one on it."""
     core = MapperCore(CONFIG)
     boxes = box_surface((0, 0, 0.2), (0.6, 0.6, 0.4)), box_surface((0.1, 0.1, 0.45), (0.1, 0.1, 0.1))
@@ -64,9 +63,9 @@ def test_what_holds_an_object_is_told_in_a_few_words(relation, by, text):
 
 
 def test_only_possible_contacts_of_a_submap_are_examined(snapshot, monkeypatch):
-    looked_at: list[int] = []
+    looked_at = []
 
-    def counted(item: TrackedObject, config: MappingConfig) -> ObjectBody:
+    def counted(item, config):
         looked_at.append(item.id)
         return _body(item, config)
 

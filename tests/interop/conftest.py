@@ -9,7 +9,7 @@ import pytest
 
 
 @pytest.fixture(scope="session")
-def ros_python() -> str:
+def ros_python():
     """An interpreter with rclpy: this one, or that of $HICKORY_ROS_PYTHON."""
     chosen = os.environ.get("HICKORY_ROS_PYTHON", sys.executable)
     if subprocess.run([chosen, "-c", "import rclpy, nav_msgs.msg"], capture_output=True, check=False).returncode:

@@ -13,21 +13,21 @@ from mcap.reader import make_reader
 class Listener(ServerListener):
     """Takes note of what clients publish."""
 
-    def __init__(self) -> None:
-        self.topics: dict[int, str] = {}
-        self.heard: set[str] = set()
+    def __init__(self):
+        self.topics = {}
+        self.heard = set()
 
-    def on_client_advertise(self, client, channel):  # type: ignore[no-untyped-def]
+    def on_client_advertise(self, client, channel):
         """A client will publish."""
         self.topics[channel.id] = channel.topic
 
-    def on_message_data(self, client, client_channel_id, data):  # type: ignore[no-untyped-def]
+    def on_message_data(self, client, client_channel_id, data):
         """A client has published."""
         if data:
             self.heard.add(self.topics[client_channel_id])
 
 
-def main(path: str, port: int, seconds: float) -> None:
+def main(path, port, seconds):
     """Play the log again and again; what is latched with every message of the first second."""
     listener = Listener()
     server = foxglove.start_server(

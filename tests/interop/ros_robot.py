@@ -14,7 +14,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 
-def main(path: str, seconds: float) -> None:
+def main(path, seconds):
     """Publish colour and depth best effort, as drivers do, and the rest reliably."""
     scene = np.load(path)
     rclpy.init()

@@ -8,10 +8,10 @@ from hickory_stream.geometry.rigid import quaternion_from_rotation
 from tests.player_scenes import CAMERA, START_NS, make_scene
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    pass
 
 
-def scene_file(path: Path) -> Path:
+def scene_file(path):
     """Write the scene."""
     scene = make_scene(num_frames=6)
     np.savez(

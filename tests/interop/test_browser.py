@@ -13,7 +13,7 @@ import subprocess
 import urllib.request
 from contextlib import ExitStack
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import psutil
@@ -28,8 +28,7 @@ from tests.players.live.robot_fixtures import eventually
 from tests.sinks.report_fixtures import boxes, reports
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    pass
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(240)]
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
@@ -39,7 +38,7 @@ SCENE = np.s_[70:620, 0:630]
 
 
 @pytest.fixture
-def shown(tmp_path: Path) -> Iterator[RerunSink]:
+def shown(tmp_path):
     """A sink with a web viewer to which a whole run was shown."""
     sink = RerunSink(RerunConfig(), tmp_path, None, parse_viewer("web"))
     for report in reports(30, tmp_path):
@@ -51,7 +50,7 @@ def shown(tmp_path: Path) -> Iterator[RerunSink]:
 class Page:
     """A page in a Chromium without a screen, by the DevTools protocol."""
 
-    def __init__(self, url: str, profile: Path) -> None:
+    def __init__(self, url, profile):
         drawing = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
         command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", *drawing]
         command += [f"--user-data-dir={profile}", f"--window-size={SIZE[0]},{SIZE[1]}", "--remote-debugging-port=0"]
@@ -65,7 +64,7 @@ class Page:
         self._connection = self._stack.enter_context(connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None))
         self._number = 0
 
-    def ask(self, method: str, **parameters: Any) -> Any:
+    def ask(self, method, **parameters):
         """Return the browser's answer."""
         self._number += 1
         self._connection.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
@@ -73,21 +72,21 @@ class Page:
             pass
         return said["result"]
 
-    def picture(self) -> bytes:
+    def picture(self):
         """Return what it shows now (PNG)."""
         return base64.b64decode(self.ask("Page.captureScreenshot")["data"])
 
-    def value(self, expression: str) -> Any:
+    def value(self, expression):
         """Return the value of an expression in the page."""
         return self.ask("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
-    def close(self) -> None:
+    def close(self):
         self._stack.close()
         self._process.terminate()
         self._process.wait(10.0)
 
 
-def colors_of(picture: bytes) -> int:
+def colors_of(picture):
     """Return how many different hues the view of layers 1 and 2 shows, each on many pixels."""
     page = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
     assert page is not None
@@ -97,11 +96,11 @@ def colors_of(picture: bytes) -> int:
 
 
 @pytest.mark.skipif(not BROWSER, reason="needs Chromium")
-def test_a_browser_that_comes_late_shows_every_object(shown: RerunSink, tmp_path: Path) -> None:
+def test_a_browser_that_comes_late_shows_every_object(shown, tmp_path):
     page = Page(str(shown.web_url), tmp_path / "profile")
-    pictures: list[bytes] = []
+    pictures = []
 
-    def is_whole() -> bool:
+    def is_whole():
         pictures.append(page.picture())
         # Of the colours of seven boxes one is grey, and two others are close.
         return colors_of(pictures[-1]) >= len(boxes()) - 3
@@ -116,12 +115,12 @@ def test_a_browser_that_comes_late_shows_every_object(shown: RerunSink, tmp_path
 
 
 @pytest.mark.skipif(not BROWSER, reason="needs Chromium")
-def test_the_exported_page_shows_and_switches_layers(short_map: Path, tmp_path: Path) -> None:
+def test_the_exported_page_shows_and_switches_layers(short_map, tmp_path):
     out = tmp_path / "map.html"
     assert look("export", short_map, "-o", out, "--texture", 64).status == 0
     page = Page(out.as_uri(), tmp_path / "profile")
 
-    def settled() -> bytes:
+    def settled():
         assert eventually(lambda: page.value("document.body.dataset.state === 'ready' && !isAsked"), 60.0)
         (tmp_path / "page.png").write_bytes(page.picture())
         shown = cv2.imread(str(tmp_path / "page.png"))
@@ -146,7 +145,7 @@ def test_the_exported_page_shows_and_switches_layers(short_map: Path, tmp_path: 
     assert all(a != b for a, b in pairwise(pictures))
 
 
-def test_the_page_is_reachable_from_this_machine_only(shown: RerunSink) -> None:
+def test_the_page_is_reachable_from_this_machine_only(shown):
     assert shown.web_url is not None
     assert shown.web_url.startswith("http://127.0.0.1:")
     heard = {

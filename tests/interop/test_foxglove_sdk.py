@@ -17,20 +17,19 @@ from tests.players.live.robot_fixtures import eventually, free_port, scene_log
 from tests.sinks.test_publish_sink import report
 
 if TYPE_CHECKING:
-    from pathlib import Path
-    from hickory_stream.records import RawFrame
+    pass
 
 pytestmark = pytest.mark.interop
 
 
-def test_a_robot_behind_the_sdks_server_is_mapped_and_told(tmp_path: Path) -> None:
+def test_a_robot_behind_the_sdks_server_is_mapped_and_told(tmp_path):
     pytest.importorskip("foxglove")
     log, port = scene_log(tmp_path / "log.mcap", num_frames=30), free_port()
     robot = [sys.executable, "tests/interop/foxglove_robot.py", str(log), str(port), "8"]
     with subprocess.Popen(robot, stdout=subprocess.PIPE, text=True) as process:
         try:
             source = open_live(f"foxglove://127.0.0.1:{port}", attempt_s=0.5, patience_s=15.0)
-            frames: list[RawFrame] = []
+            frames = []
             reading = Thread(target=lambda: frames.extend(source.frames()), daemon=True)
             reading.start()
             assert source.return_link is not None

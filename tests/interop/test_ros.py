@@ -15,14 +15,13 @@ from tests.player_scenes import make_scene
 from tests.players.live.robot_fixtures import eventually
 
 if TYPE_CHECKING:
-    from pathlib import Path
-    from hickory_stream.records import RawFrame
+    pass
 
 pytestmark = pytest.mark.interop
 DOMAIN = 20 + os.getpid() % 150
 
 
-def test_frames_of_real_nodes_are_those_that_they_published(ros_python: str, tmp_path: Path) -> None:
+def test_frames_of_real_nodes_are_those_that_they_published(ros_python, tmp_path):
     pytest.importorskip("cyclonedds")
     scene = make_scene(num_frames=6)
     robot = [ros_python, "tests/interop/ros_robot.py", str(scene_file(tmp_path / "scene.npz")), "6"]
@@ -30,7 +29,7 @@ def test_frames_of_real_nodes_are_those_that_they_published(ros_python: str, tmp
     with subprocess.Popen(robot, env=surroundings, stdout=subprocess.PIPE, text=True) as process:
         try:
             source = open_live(f"dds://{DOMAIN}", attempt_s=0.5, patience_s=15.0)
-            frames: list[RawFrame] = []
+            frames = []
             reading = Thread(target=lambda: frames.extend(source.frames()), daemon=True)
             reading.start()
             assert eventually(lambda: len(frames) >= 15, 10.0), source.status()

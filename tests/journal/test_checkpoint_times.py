@@ -3,7 +3,7 @@
 from hickory_stream.engine.step_writer import CheckpointTimes
 
 
-def due(keyframes: int, searching: str) -> str:
+def due(keyframes, searching):
     """Return where a checkpoint is due; `searching` has a 's' for each keyframe with an open search."""
     times = CheckpointTimes(keyframes)
     return "".join("x" if times.is_due(searches=one == "s") else "." for one in searching)
@@ -14,10 +14,7 @@ def test_one_is_due_every_so_many_keyframes():
     assert due(1, "...") == "xxx"
 
 
-def test_one_waits_for_searches_and_the_next_one_counts_from_it():
+def test_one_waits_for_searches_but_not_for_ever():
     assert due(3, "..sss.....") == ".....x..x."
     assert due(3, "ss........") == "..x..x..x."
-
-
-def test_one_waits_for_no_search_for_ever():
     assert due(2, "s" * 12) == "...x...x...x"

@@ -10,7 +10,7 @@ from hickory_stream.mapping.rules.merging import VoteBook
 from hickory_stream.records import Phase
 
 
-def cloud_of(hits: list[int]) -> Cloud:
+def cloud_of(hits):
     count = len(hits)
     return Cloud(
         keys=np.cumsum(np.arange(1, count + 1)).astype(np.int64),
@@ -20,7 +20,7 @@ def cloud_of(hits: list[int]) -> Cloud:
     )
 
 
-def track_of(cloud: Cloud, solid: Cloud) -> Track:
+def track_of(cloud, solid):
     return Track(
         id=1, phase=Phase.ACTIVE, sightings=5, first_seen_ns=0, last_seen_ns=1, seen_clock_ns=1, cloud=cloud,
         solid=solid, box=OrientedBox(world_from_box=np.eye(4), half_extents_m=np.ones(3)),
@@ -28,7 +28,7 @@ def track_of(cloud: Cloud, solid: Cloud) -> Track:
     )  # fmt: skip
 
 
-def bytes_of(cloud: Cloud) -> list[bytes]:
+def bytes_of(cloud):
     return [array.tobytes() for array in (cloud.keys, cloud.points, cloud.colors, cloud.hits)]
 
 

@@ -1,12 +1,8 @@
-from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.data_stream import ReadDataStream
-from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped
@@ -20,7 +16,7 @@ BIG = np.random.default_rng(0).normal(size=(400, 3)).astype(np.float32)
 BIG.flags.writeable = False
 
 
-def entry(i: int, kind: StepKind = StepKind.KEYFRAME) -> JournalEntry:
+def entry(i, kind=StepKind.KEYFRAME):
     pose = np.eye(4)
     pose[0, 3] = i
     step = Step(
@@ -33,12 +29,12 @@ def entry(i: int, kind: StepKind = StepKind.KEYFRAME) -> JournalEntry:
     return JournalEntry(step=step, events=events)
 
 
-def checkpoint(i: int) -> Checkpoint:
+def checkpoint(i):
     job = OpenJob(ticket=i, object_id=1, due_ns=5)
     return Checkpoint(core={"_a": BIG, "_b": (i, None, {2: "x"}), "_c": {"b", "a"}}, open_jobs=(job,))
 
 
-def write(folder: Path, *, closes: bool = True, last: StepKind = StepKind.KEYFRAME) -> bytes:
+def write(folder, *, closes=True, last=StepKind.KEYFRAME):
     writer = JournalWriter(folder, flush_s=0.0)
     for i in range(NUM_STEPS):
         writer.append(entry(i, last if i == NUM_STEPS - 1 else StepKind.KEYFRAME), color=b"jpeg" if i == 1 else None)
@@ -49,16 +45,16 @@ def write(folder: Path, *, closes: bool = True, last: StepKind = StepKind.KEYFRA
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def whole(tmp_path_factory):
     return write(tmp_path_factory.mktemp("journal"))
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def place(tmp_path_factory):
     return tmp_path_factory.mktemp("cut")
 
 
-def read_numbers(folder: Path) -> list[int]:
+def read_numbers(folder):
     with Journal(folder) as journal:
         return [e.step.num_frames for e in journal.entries()]
 
@@ -84,7 +80,7 @@ def test_a_checkpoint_comes_back_and_writes_no_array_twice(tmp_path):
         found = [journal.checkpoint_before(i) for i in range(NUM_STEPS)]
         assert [None if f is None else f[0] for f in found] == [None, 1, 1, 3, 3, 5]
         last = found[-1]
-        np.testing.assert_array_equal(last[1].core["_a"], BIG)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(last[1].core["_a"], BIG)
         assert last[1].core["_b"] == (5, None, {2: "x"})
         assert last[1].core["_c"] == {"a", "b"}
         assert last[1].open_jobs == checkpoint(5).open_jobs
@@ -92,7 +88,7 @@ def test_a_checkpoint_comes_back_and_writes_no_array_twice(tmp_path):
 
 
 def test_arrays_of_equal_content_are_stored_once_while_in_use(tmp_path):
-    def same(step: float = 0) -> NDArray[np.float32]:
+    def same(step=0):
         array = (BIG + np.float32(step)).astype(np.float32)
         array.flags.writeable = False
         return array
@@ -110,7 +106,7 @@ def test_arrays_of_equal_content_are_stored_once_while_in_use(tmp_path):
                 counts.append(len(journal._chunks.messages(chunk)) - 1)
             if place.channel == CHECKPOINT:
                 found = journal._checkpoint(chunk, reads_later=False).core["_a"]
-                for a, b in zip(found, wanted[len(counts) - 1], strict=True):  # type: ignore[arg-type]
+                for a, b in zip(found, wanted[len(counts) - 1], strict=True):
                     np.testing.assert_array_equal(a, b)
     # That of another shape is another one, and what no checkpoint had in between is forgotten.
     assert counts == [1, 1, 0, 2]
@@ -125,16 +121,16 @@ def test_a_checkpoint_over_many_chunks_unpacks_each_once(tmp_path, monkeypatch):
     for i in range(len(arrays)):
         writer.checkpoint(Checkpoint(core={"_a": tuple(arrays[: i + 1])}, open_jobs=()), 1000)
     writer.close()
-    unpacked: list[Chunk] = []
+    unpacked = []
 
-    def unpack(chunk: Chunk, validate_crc: bool) -> tuple[ReadDataStream, int]:
+    def unpack(chunk, validate_crc):
         unpacked.append(chunk)
         return get_chunk_data_stream(chunk, validate_crc)
 
     monkeypatch.setattr("hickory_stream.journal.reader.get_chunk_data_stream", unpack)
     with Journal(tmp_path) as journal:
         found = journal.checkpoint_before(0)
-    np.testing.assert_array_equal(found[1].core["_a"], arrays)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found[1].core["_a"], arrays)
     # Those of its arrays, and that of its document.
     assert len(unpacked) == len(arrays) + 1
 
@@ -195,7 +191,7 @@ def test_a_continued_journal_is_one_whole_file(tmp_path):
     with Journal(tmp_path) as journal:
         for i in (1, NUM_STEPS):
             found = journal.checkpoint_before(i)
-            np.testing.assert_array_equal(found[1].core["_a"], BIG)  # type: ignore[arg-type]
+            np.testing.assert_array_equal(found[1].core["_a"], BIG)
 
 
 def test_what_a_stop_has_committed_early_is_not_continued_from(tmp_path):

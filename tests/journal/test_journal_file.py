@@ -1,8 +1,6 @@
 """The file of a journal is whole MCAP, whoever began it, and is gone on with where it ends."""
 
-from pathlib import Path
 import pytest
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from hickory_stream.journal.format import JOURNAL, MAGIC
@@ -13,7 +11,7 @@ from hickory_stream.journal.writer import JournalWriter
 from tests.journal.test_journal import NUM_STEPS, checkpoint, entry, read_numbers, write
 
 
-def go_on(folder: Path, *, steps: int = 1) -> None:
+def go_on(folder, *, steps=1):
     """Continue the journal of a folder with more steps, and close it."""
     with Journal(folder) as journal:
         journal.cut_to_resumable()
@@ -25,12 +23,11 @@ def go_on(folder: Path, *, steps: int = 1) -> None:
     writer.close()
 
 
-def topics_of(folder: Path) -> list[str]:
+def topics_of(folder):
     """Return the topic of each message as the MCAP library reads them, by the index and by the chunks alike."""
     with (folder / JOURNAL).open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
-        assert summary.statistics is not None
         by_index = [channel.topic for _, channel, _ in reader.iter_messages(log_time_order=False)]
         counts = summary.statistics.channel_message_counts
         assert {summary.channels[i].topic: n for i, n in counts.items()} == {
@@ -71,7 +68,7 @@ def test_a_run_killed_while_writing_the_index_loses_nothing(tmp_path):
         assert topics_of(tmp_path).count("step") == NUM_STEPS + 1
 
 
-def index_of_first(index: bytes) -> bytes:
+def index_of_first(index):
     """Return the first record of an index."""
     return index[: 9 + int.from_bytes(index[1:9], "little")]
 
@@ -108,11 +105,10 @@ def test_a_damaged_early_chunk_is_left_out_of_the_summary(tmp_path, content):
     assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 2))
     with (tmp_path / JOURNAL).open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     assert first not in [index.chunk_start_offset for index in summary.chunk_indexes]
 
 
-def first_chunk(whole: bytes) -> int:
+def first_chunk(whole):
     """Return where the first chunk of a journal begins."""
     at = len(MAGIC)
     while whole[at] != Opcode.CHUNK:
@@ -126,12 +122,6 @@ def test_an_empty_journal_is_whole_mcap_too(tmp_path):
     go_on(tmp_path)
     assert read_numbers(tmp_path) == [1]
     assert topics_of(tmp_path).count("step") == 1
-
-
-def test_a_file_without_its_end_is_no_whole_mcap(tmp_path):
-    write(tmp_path, closes=False)
-    with (tmp_path / JOURNAL).open("rb") as file, pytest.raises(McapError):
-        make_reader(file, validate_crcs=True).get_summary()
 
 
 @pytest.mark.parametrize("records", [b"\x05", b"\x05" + bytes(8), b"\x05" + bytes([40, *[0] * 7]) + bytes(10)])

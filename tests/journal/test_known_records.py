@@ -7,14 +7,14 @@ from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.record_codec import encode
 from hickory_stream.journal.snapshot_records import object_without_points
 from hickory_stream.journal.writer import JournalWriter
-from hickory_stream.records import MapSnapshot, TrackedObject
+from hickory_stream.records import TrackedObject
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.journal.test_journal import entry
 
 NUM_MAPS = 40
 
 
-def maps() -> list[MapSnapshot]:
+def maps():
     """Maps one after another, each with an object that was seen once more, some without one of the others."""
     whole = make_snapshot()
     found = []
@@ -28,13 +28,13 @@ def maps() -> list[MapSnapshot]:
     return found
 
 
-def written(journal: Journal, index: int) -> dict[int, bytes]:
+def written(journal, index):
     known = journal.known(index)
     assert known.revision == index
     return {key: encode(journal.known_record(place, TrackedObject)) for key, place in known.objects.items()}
 
 
-def expected(snapshot: MapSnapshot) -> dict[int, bytes]:
+def expected(snapshot):
     return {tracked.id: encode(object_without_points(tracked)) for tracked in snapshot.objects}
 
 
@@ -53,7 +53,6 @@ def test_the_records_of_a_step_are_its_maps_and_written_once(tmp_path):
         for i, snapshot in enumerate(snapshots):
             assert written(journal, i) == expected(snapshot)
         before, after = journal.known(3), journal.known(4)
-        assert before is not None
         assert len(before.submaps.keys() & after.submaps.keys()) > 0
         assert before.submaps == after.submaps
         assert 0 < len(after.objects.items() - before.objects.items()) <= 2

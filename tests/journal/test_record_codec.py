@@ -1,4 +1,5 @@
 import re
+import zlib
 from dataclasses import dataclass
 import cbor2
 import numpy as np
@@ -55,8 +56,6 @@ def test_keys_of_any_kind_sets_and_enums_come_back():
 
 
 def test_sorted_keys_of_voxels_take_a_tenth_of_their_size():
-    import zlib
-
     keys = np.unique(np.random.default_rng(0).integers(0, 2**21, 20_000))
     assert len(zlib.compress(encode(keys))) < keys.nbytes / 6
 
@@ -86,15 +85,11 @@ def test_points_at_steps_come_back_to_the_bit(steps):
 
 
 def test_points_at_steps_take_half_of_what_others_take():
-    import zlib
-
     points = np.sort(np.random.default_rng(0).uniform(0, 1, (4_000, 3)).astype(np.float32), axis=0)
     assert len(zlib.compress(encode(on_steps(points)))) < 0.6 * len(zlib.compress(encode(points)))
 
 
 def test_colours_that_change_little_take_little():
-    import zlib
-
     rng = np.random.default_rng(0)
     colors = (np.cumsum(rng.integers(-2, 3, (4_000, 1)), axis=0) + rng.integers(0, 3, (4_000, 3))).astype(np.uint8)
     assert decode(encode(colors)).tobytes() == colors.tobytes()
@@ -120,7 +115,7 @@ def test_bytes_that_are_no_record_are_refused_or_plain(data):
         pass
 
 
-def tagged(tag: int, content: object) -> bytes:
+def tagged(tag, content):
     return cbor2.dumps(cbor2.CBORTag(tag, content))
 
 
@@ -153,7 +148,7 @@ def test_what_was_made_to_do_harm_is_refused(name):
 
 @pytest.mark.timeout(10)
 def test_bytes_that_unfold_to_billions_of_items_are_refused():
-    item: list[object] = []
+    item = []
     for _ in range(40):
         item = [item, item]
     data = cbor2.dumps(item, value_sharing=True)

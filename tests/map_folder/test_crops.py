@@ -1,7 +1,6 @@
 import json
 import zlib
 from dataclasses import replace
-from typing import Literal
 import cv2
 import numpy as np
 import pytest
@@ -56,11 +55,11 @@ def test_a_view_cannot_be_written_where_there_is_no_folder(tmp_path):
         write_crop(tmp_path / "absent", "v", make_crop())
 
 
-def lossy(colors: Literal["jpeg", "webp"]) -> RunConfig:
+def lossy(colors):
     return RunConfig(view_colors=colors, view_quality=95)
 
 
-def shaded_crop() -> Crop:
+def shaded_crop():
     """As cameras see: colours that change slowly."""
     ramp = np.linspace(40, 200, 16, dtype=np.uint8)
     return replace(make_crop(), rgb=np.stack([np.tile(ramp, (12, 1))] * 3, axis=2))
@@ -125,19 +124,24 @@ def test_a_damaged_file_of_a_lossy_view_is_an_error(tmp_path, capfd, colors, par
     assert capfd.readouterr() == ("", ""), "no decoder told of it"
 
 
+def put_color(folder, data):
+    """Exchange the colours of the view, with their checksum."""
+    color, *_, description = crop_files(folder, "v")
+    color.write_bytes(data)
+    told = json.loads(description.read_text(encoding="utf-8"))
+    description.write_text(dumps(told | {"color_crc32": zlib.crc32(data)}), encoding="utf-8")
+
+
 @pytest.mark.parametrize(("colors", "at"), [("jpeg", "SOF"), ("webp", "VP8")])
 def test_a_claim_of_too_many_pixels_is_refused_before_decoding(tmp_path, monkeypatch, colors, at):
     write_crop(tmp_path, "v", make_crop(), lossy(colors))
-    color, *_, description = crop_files(tmp_path, "v")
-    data = bytearray(color.read_bytes())
+    data = bytearray(crop_files(tmp_path, "v")[0].read_bytes())
     if at == "SOF":
         frame = data.index(b"\xff\xc0")
         data[frame + 5 : frame + 9] = b"\xff\xff\xff\xff"
     else:
         data[26:30] = b"\xff\x3f\xff\x3f"
-    color.write_bytes(data)
-    told = json.loads(description.read_text(encoding="utf-8"))
-    description.write_text(dumps(told | {"color_crc32": zlib.crc32(data)}), encoding="utf-8")
+    put_color(tmp_path, data)
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
     with pytest.raises(MapFolderError, match=r"pixels, which no view has; play the log again"):
         read_crop(tmp_path, "v")
@@ -155,9 +159,6 @@ def test_a_claim_of_too_many_pixels_is_refused_before_decoding(tmp_path, monkeyp
 )
 def test_another_kind_of_image_in_the_place_of_a_jpeg_is_refused(tmp_path, data):
     write_crop(tmp_path, "v", make_crop(), lossy("jpeg"))
-    color, *_, description = crop_files(tmp_path, "v")
-    color.write_bytes(data)
-    told = json.loads(description.read_text(encoding="utf-8"))
-    description.write_text(dumps(told | {"color_crc32": zlib.crc32(data)}), encoding="utf-8")
+    put_color(tmp_path, data)
     with pytest.raises(MapFolderError, match="it is no baseline JPEG; play the log again"):
         read_crop(tmp_path, "v")

@@ -1,8 +1,6 @@
 import hashlib
 import json
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,14 +9,14 @@ from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.map_folder.codec import decode_snapshot, encode_snapshot
 from hickory_stream.map_folder.digest import map_digest
-from hickory_stream.records import GraphEdge, MapSnapshot, Phase, TrackedObject
+from hickory_stream.records import GraphEdge, Phase
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.graph.graph_fixtures import solved_graph
 
 OUTSIDE = {("shape", "revision"), ("shape", "mesh_name")}
 
 
-def variants(record: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def variants(record, path=()):
     """Yield every record that differs from `record` in one leaf, with the path to it."""
     for field in fields(record):
         value, here = getattr(record, field.name), (*path, field.name)
@@ -31,7 +29,7 @@ def variants(record: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
             yield here, replace(record, **{field.name: nudged(value)})
 
 
-def nudged(value: Any) -> Any:
+def nudged(value):
     """Return a neighbour of a value: the next float, the next number, another text."""
     match value:
         case Phase():
@@ -53,7 +51,7 @@ def nudged(value: Any) -> Any:
     raise AssertionError(type(value))
 
 
-def sketched_snapshot() -> MapSnapshot:
+def sketched_snapshot():
     """Return a map whose first object has a sketch, too: no real one has both it and a shape."""
     snapshot = make_snapshot()
     first = snapshot.objects[0]
@@ -67,7 +65,7 @@ VARIANTS = dict(variants(SNAPSHOT.objects[0]))
 VIEW_VARIANTS = dict(variants(SNAPSHOT.objects[0].views[0]))
 
 
-def with_first(tracked: TrackedObject) -> MapSnapshot:
+def with_first(tracked):
     return replace(SNAPSHOT, objects=(tracked, *SNAPSHOT.objects[1:]))
 
 
@@ -163,7 +161,6 @@ def test_every_number_of_a_map_survives_writing_and_reading(place, half, points,
     pose = np.eye(4)
     pose[:3, 3] = place
     first = SNAPSHOT.objects[0]
-    assert first.shape is not None
     quadrics = Superquadrics(exponents=[exponents], semi_axes_m=[half], world_from_local=pose[None])
     tracked = replace(
         first,
@@ -184,7 +181,6 @@ def test_every_number_of_a_map_survives_writing_and_reading(place, half, points,
 
 def test_a_shape_without_primitives_survives():
     first = SNAPSHOT.objects[0]
-    assert first.shape is not None
     none = Superquadrics(exponents=np.empty((0, 2)), semi_axes_m=np.empty((0, 3)), world_from_local=np.empty((0, 4, 4)))
     snapshot = with_first(
         replace(first, shape=replace(first.shape, fitted=none, inflated=none, seen_share=np.empty(0)))

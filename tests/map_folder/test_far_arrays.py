@@ -5,9 +5,6 @@ import logging
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 import numpy as np
 from hickory_stream.events import SourceEnded
 from hickory_stream.journal.reader import Journal
@@ -28,12 +25,12 @@ LOOKS = [(place, 7, what, 1) for place in (0, 1, 2, 3, 2, 1, 0, 3, 0) for what i
 HALF = len(LOOKS) // 2
 
 
-def some_bytes(seed: int) -> bytes:
+def some_bytes(seed):
     rng = np.random.default_rng(seed)
     return rng.bytes(int(rng.integers(1, 40_000)))
 
 
-def mapped(folder: Path, keep: Callable[[bytes], Callable[[], bytes]] | None) -> tuple[MapperCore, bytes]:
+def mapped(folder, keep):
     """Return a core that went there and back, its far arrays in a file, and its journal of checkpoints."""
     folder.mkdir()
     core, writer = MapperCore(CONFIG), JournalWriter(folder, flush_s=60.0)
@@ -48,7 +45,7 @@ def mapped(folder: Path, keep: Callable[[bytes], Callable[[], bytes]] | None) ->
     return core, (folder / "journal.mcap").read_bytes()
 
 
-def ended(core: MapperCore) -> str:
+def ended(core):
     core.handle(SourceEnded(stamp_ns=1_000 * SECOND_NS))
     return map_digest(core.snapshot())
 
@@ -60,7 +57,7 @@ def test_far_arrays_change_no_byte_of_journal_and_map(tmp_path, monkeypatch):
     alone, expected = mapped(tmp_path / "memory", None)
     core, journal = mapped(tmp_path / "far", far.keep)
     assert far.num_bytes > 0
-    assert any(is_packed(track.cloud) for track in core.state()["tracks"].values())  # type: ignore[attr-defined]
+    assert any(is_packed(track.cloud) for track in core.state()["tracks"].values())
     assert journal == expected
     assert len(core.snapshot().objects) > 3
     assert len(core.submaps) > 2
@@ -86,7 +83,7 @@ def test_a_resumed_run_reads_only_arrays_in_use(tmp_path):
     size = (tmp_path / "map" / "journal.mcap").stat().st_size
     writer.append(entry(last + 1))
     writer.checkpoint(Checkpoint(core=core.state(), open_jobs=()), 1_000)
-    tracks: dict = core.state()["tracks"]  # type: ignore[assignment, type-arg]
+    tracks = core.state()["tracks"]
     far = [track for track in tracks.values() if len(track.cloud) > 100]
     assert far
     assert all(is_packed(track.cloud) for track in far)
@@ -100,7 +97,6 @@ def test_a_resumed_run_reads_only_arrays_in_use(tmp_path):
         assert chunks[0].end - chunks[0].start < 200
         assert chunks[1].end - chunks[1].start < size / 50
         again = read.checkpoint_before(len(read))
-    assert again is not None
     drive(before, [keyframes(LOOKS)[-1]])
     assert ended(MapperCore.from_state(CONFIG, again[1].core)) == ended(core) == ended(before)
 
@@ -121,17 +117,17 @@ def test_far_arrays_read_back_reuse_room_and_show_no_file(tmp_path):
 class _FullDisk:
     """A file that takes so many bytes."""
 
-    def __init__(self, file: Any, left: int) -> None:
+    def __init__(self, file, left):
         self._file, self._left = file, left
 
-    def write(self, data: memoryview) -> int:
+    def write(self, data):
         if self._left == 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        written: int = self._file.write(data[: self._left])
+        written = self._file.write(data[: self._left])
         self._left -= written
         return written
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name):
         return getattr(self._file, name)
 
 

@@ -1,56 +1,45 @@
 """Maps whose views have lossy colours: played, stopped and gone on with, verified, merged, and cleared up."""
 
-import asyncio
 import shutil
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
-from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Progress
 from hickory_stream.engine.shape_jobs.job_folder import read_job, write_job
 from hickory_stream.engine.shape_jobs.processor import processor_kind
 from hickory_stream.map_folder.codec import encode_superquadrics
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import create_map_folder
-from hickory_stream.ports import BuiltShape
 from hickory_stream.shapes.build import build_shape, make_reconstructor
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config, scene_request
+from tests.engine.run_fixtures import (
+    NO_SHAPES,
+    NUM_FRAMES,
+    map_scene,
+    resume_scene,
+    scene_config,
+    scene_request,
+    stop_at,
+)
 from tests.engine.snapshot_fixtures import make_snapshot
-from tests.in_process_workers import InProcessWorkers
 
 JPEG = "run.view_colors=jpeg"
 
 
-def endings(views: Path) -> set[str]:
+def endings(views):
     return {file.name.partition(".")[2] for file in views.iterdir()}
 
 
 def test_a_run_with_lossy_views_goes_on_to_the_same_map(tmp_path):
     exact = map_scene(tmp_path, *NO_SHAPES, name="exact")
-
-    def stop(mapper: Mapper, progress: Progress) -> None:
-        if progress.keyframes == 4:
-            mapper.stop()
-
-    stopped = map_scene(tmp_path, *NO_SHAPES, JPEG, on_progress=stop).folder.path
+    stopped = map_scene(tmp_path, *NO_SHAPES, JPEG, on_progress=stop_at(4)).folder.path
     assert not open_map(stopped).manifest.finished_cleanly
 
-    async def resume() -> str | None:
-        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(
-            stopped, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            async for _ in mapper.run(SceneSource(NUM_FRAMES)):
-                pass
-            return mapper.folder.manifest.digest
-
-    assert asyncio.run(resume()) == exact.digest, "layer 1 and the choice of views have nothing of the files"
+    assert resume_scene(stopped, SceneSource(NUM_FRAMES)) == exact.digest, (
+        "layer 1 and the choice of views have nothing of the files"
+    )
     lossy, views = open_map(stopped), exact.folder.views
     assert endings(views) == {"color.png", "depth.png", "json"}
     assert endings(lossy.views) == {"color.jpg", "mask.png", "depth.png", "json"}
@@ -72,7 +61,6 @@ def test_a_shape_of_lossy_views_differs_in_colours_only(tmp_path):
         shutil.rmtree(views)  # what a job needs is its own
         inputs, read = read_job(folder)
         shape = build_shape(inputs, make_reconstructor(read.reconstructor, read), read)
-        assert isinstance(shape, BuiltShape)
         built.append(shape)
     exact, lossy = built
     mesh, exact_mesh = lossy.reconstruction.mesh, exact.reconstruction.mesh
@@ -108,7 +96,7 @@ def test_a_map_with_lossy_views_names_its_codecs_and_verifies(demo_log, tmp_path
 @pytest.mark.parametrize("colors", ["jpeg", "webp"])
 def test_a_map_folder_keeps_and_removes_files_of_a_lossy_view(tmp_path, colors):
     folder = create_map_folder(tmp_path / "m", config={}, source={})
-    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))  # type: ignore[arg-type] # a parameter
+    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))  # a parameter
     folder.save(snapshot)
     first = snapshot.objects[0]
     dropped, *_ = (view.name for view in first.views)

@@ -4,14 +4,12 @@ import resource
 import shutil
 import signal
 import sys
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import HickoryError, MapFolderError
 from hickory_stream.geometry.lazy_arrays import has_given_up
-from hickory_stream.geometry.mesh import read_glb
+from hickory_stream.geometry.mesh import mesh_of_glb
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.manifest import FORMAT_VERSION
 from hickory_stream.map_folder.saved_map import open_map
@@ -22,11 +20,11 @@ CONFIG = {"keyframes": {"min_gap_s": 0.25}}
 SOURCE = {"uri": "desk.mcap", "identity": "abc"}
 
 
-def create(path: Path, *, overwrite: bool = False) -> MapFolder:
+def create(path, *, overwrite=False):
     return create_map_folder(path, config=CONFIG, source=SOURCE, overwrite=overwrite)
 
 
-def files_of(path: Path) -> list[str]:
+def files_of(path):
     return sorted(str(file.relative_to(path)) for file in path.rglob("*") if file.is_file())
 
 
@@ -46,8 +44,7 @@ def test_a_saved_map_opens_as_the_map_that_was_saved(tmp_path):
     assert np.array_equal(space.free, expected.free)
     assert np.array_equal(space.structure, expected.structure)
     shape = saved.snapshot.objects[0].shape
-    assert shape is not None
-    assert len(saved.mesh(shape).faces) == len(read_glb(saved.mesh_path(shape)).faces) == 48
+    assert len(saved.mesh(shape).faces) == len(mesh_of_glb(saved.mesh_path(shape).read_bytes()).faces) == 48
 
 
 def test_a_map_that_saved_nothing_yet_opens_empty(tmp_path):
@@ -102,7 +99,7 @@ def test_a_clean_end_removes_what_the_map_does_not_refer_to(tmp_path):
     assert len(list(folder.views.iterdir())) == 4 * 3
 
 
-def in_child(action: Callable[[], None], prepare: Callable[[], None]) -> int:
+def in_child(action, prepare):
     """Run in a forked child; return 0 for done, 1 for refused with a clear message, 2 otherwise, 9 for killed."""
     child = os.fork()
     if child == 0:
@@ -118,11 +115,11 @@ def in_child(action: Callable[[], None], prepare: Callable[[], None]) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def die_at(step: int) -> Callable[[], None]:
+def die_at(step):
     """Return what makes this process die before its `step`-th operation on files."""
     seen = 0
 
-    def count(event: str, _: object) -> None:
+    def count(event, _):
         nonlocal seen
         if event in ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir"):
             seen += 1
@@ -132,8 +129,8 @@ def die_at(step: int) -> Callable[[], None]:
     return lambda: sys.addaudithook(count)
 
 
-def limit_file_size(size: int) -> Callable[[], None]:
-    def prepare() -> None:
+def limit_file_size(size):
+    def prepare():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
@@ -141,7 +138,7 @@ def limit_file_size(size: int) -> Callable[[], None]:
 
 
 @pytest.fixture
-def old_and_new(tmp_path: Path) -> tuple[Path, str, str]:
+def old_and_new(tmp_path):
     """A saved map in `tmp_path/old`, its digest, and that of the map that `save_next` saves."""
     folder = create(tmp_path / "old")
     snapshot = make_snapshot(folder)
@@ -149,13 +146,13 @@ def old_and_new(tmp_path: Path) -> tuple[Path, str, str]:
     return tmp_path / "old", map_digest(snapshot), map_digest(next_snapshot())
 
 
-def next_snapshot():  # type: ignore[no-untyped-def]
+def next_snapshot():
     snapshot = make_snapshot()
     shifted = [replace(tracked, points_world=tracked.points_world + np.float32(1)) for tracked in snapshot.objects]
     return replace(snapshot, revision=4, objects=tuple(shifted))
 
 
-def save_next(path: Path) -> None:
+def save_next(path):
     MapFolder(path, open_map(path).manifest).save(next_snapshot())
 
 

@@ -9,13 +9,12 @@ from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.map_folder.codec import encode_snapshot
 from hickory_stream.map_folder.writer import ReferencedNames, SnapshotEncoder
-from hickory_stream.records import MapSnapshot
 from tests.engine.snapshot_fixtures import make_snapshot
 
 SNAPSHOT = make_snapshot()
 
 
-def series() -> list[MapSnapshot]:
+def series():
     """A map; the same later; with one object changed, without one, with one that has other points, and empty."""
     first, *others = SNAPSHOT.objects
     assert others
@@ -31,7 +30,7 @@ def series() -> list[MapSnapshot]:
 def test_it_is_the_whole_document_and_its_changes_add_up():
     encoder, on_disk = SnapshotEncoder(), {}
     for i, snapshot in enumerate(series()):
-        new: dict[str, bytes] = {}
+        new = {}
         encoded = encoder.encoded(snapshot, new.__setitem__)
         document, files = encode_snapshot(snapshot)
         assert encoded.document == dumps_exactly(document).encode()
@@ -67,20 +66,20 @@ def test_a_moved_submap_keeps_its_files_without_reading_voxels():
     assert encoded.gone == set()
 
 
-def never_asked(name: str) -> np.ndarray:
+def never_asked(name):
     """Voxels that nobody may ask for."""
     raise AssertionError(f"{name} was read")
 
 
 def test_points_of_equal_parts_are_neither_made_nor_rewritten():
-    asked: list[str] = []
+    asked = []
     cloud, other_cloud = object(), object()
     first, *others = SNAPSHOT.objects
 
-    def made_of(of: object, sightings: int) -> MapSnapshot:
+    def made_of(of, sightings):
         one = replace(first, sightings=sightings)
 
-        def make(name: str) -> np.ndarray:
+        def make(name):
             asked.append(name)
             return getattr(first, name)
 

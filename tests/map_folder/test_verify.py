@@ -1,40 +1,31 @@
 import json
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 import pytest
 from hickory_stream.cli import main
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.verify import State, Verdict, verify
-from tests.engine.run_fixtures import SceneRun
+from hickory_stream.map_folder.verify import State, verify
 
 
 @pytest.fixture
-def sound(undisturbed_run: SceneRun) -> SceneRun:
-    return undisturbed_run
-
-
-@pytest.fixture
-def path(sound: SceneRun, tmp_path: Path) -> Path:
-    shutil.copytree(sound.folder.path, tmp_path / "map")
+def path(undisturbed_run, tmp_path):
+    shutil.copytree(undisturbed_run.folder.path, tmp_path / "map")
     return tmp_path / "map"
 
 
-def change(file: Path, changed: Callable[[dict[str, Any]], object]) -> None:
+def change(file, changed):
     document = json.loads(file.read_text())
     changed(document)
     file.write_text(json.dumps(document))
 
 
-def shrink_layer_four(path: Path) -> int:
+def shrink_layer_four(path):
     """Make layer 4 of the first object that has one a millimetre wide; return its id."""
     ids = []
 
-    def shrink(document: dict[str, Any]) -> None:
+    def shrink(document):
         tracked = next(o for o in document["objects"] if o["shape"] is not None)
         inflated = tracked["shape"]["inflated"]
         inflated["semi_axes_m"] = [[0.001] * 3 for _ in inflated["semi_axes_m"]]
@@ -44,16 +35,16 @@ def shrink_layer_four(path: Path) -> int:
     return int(ids[0])
 
 
-def compute_digest_anew(path: Path) -> None:
+def compute_digest_anew(path):
     digest = map_digest(open_map(path).snapshot)
     change(path / "manifest.json", lambda manifest: manifest.update(digest=digest))
 
 
-def states(verdict: Verdict, check: str) -> set[State]:
+def states(verdict, check):
     return {finding.state for finding in verdict.findings if finding.check == check}
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def call(capsys, *arguments):
     capsys.readouterr()
     status = main([str(argument) for argument in arguments])
     return status, *capsys.readouterr()
@@ -140,7 +131,7 @@ def test_a_recomputed_digest_hides_nothing_from_verify(path):
 
 
 def test_a_margin_that_was_taken_away_is_found(path):
-    def without_margin(document: dict[str, Any]) -> None:
+    def without_margin(document):
         for tracked in document["objects"]:
             if tracked["shape"] is not None:
                 tracked["shape"]["containment"]["margin_m"] = 0.0
@@ -162,7 +153,6 @@ def test_a_digest_that_was_taken_out_of_a_finished_map_is_missed(path):
 def test_a_file_that_was_changed_is_named(path, kind):
     saved = open_map(path)
     tracked = next(o for o in saved.snapshot.objects if o.shape is not None)
-    assert tracked.shape is not None
     if kind == "mesh":
         other = next(o.shape for o in saved.snapshot.objects if o.shape is not None and o.id != tracked.id)
         shutil.copy(saved.mesh_path(other), saved.mesh_path(tracked.shape))
@@ -198,7 +188,7 @@ def test_the_command_exits_0_1_and_2(path, capsys):
 
 
 @pytest.mark.parametrize("damage", ["altered", "unreadable"])
-def test_a_map_is_mended_from_its_journal_only_when_asked(path, sound, capsys, damage):
+def test_a_map_is_mended_from_its_journal_only_when_asked(path, undisturbed_run, capsys, damage):
     before = sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file())
     if damage == "altered":
         shrink_layer_four(path)
@@ -209,7 +199,7 @@ def test_a_map_is_mended_from_its_journal_only_when_asked(path, sound, capsys, d
     saved = open_map(path)
     assert not saved.is_altered
     assert saved.manifest.finished_cleanly
-    assert saved.digest == sound.digest
+    assert saved.digest == undisturbed_run.digest
     assert sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file()) == before
 
 

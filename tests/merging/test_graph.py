@@ -7,7 +7,7 @@ from tests.alignment.map_fixtures import frame
 TRUE = [frame(0, 0, 0), frame(30, 4, 1), frame(-50, 2, 6), frame(170, -3, 2)]
 
 
-def relation(a: int, b: int, a_from_b: np.ndarray | None = None, strength: float = 10.0) -> Relation:
+def relation(a, b, a_from_b=None, strength=10.0):
     return Relation(
         a=a, b=b, a_from_b=invert(TRUE[a]) @ TRUE[b] if a_from_b is None else a_from_b, covariance=np.eye(6) * 1e-4,
         center_a=np.array([1.0, 2.0, 0.5]), strength=strength,

@@ -7,7 +7,6 @@ from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.merging.groups import groups_of
-from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
 HERE, THERE = furniture(12, 7), furniture(12, 60)
@@ -18,13 +17,13 @@ Answers = dict[tuple[int, int], Alignment | NoAlignment]
 
 
 @pytest.fixture(scope="module")
-def maps() -> list[MapSnapshot]:
+def maps():
     """Five maps: the first of a place of its own, two each of two others."""
     return [snapshot_of(items, pose, i) for i, (items, pose) in enumerate(zip(PLACES, FRAMES, strict=True))]
 
 
 @pytest.fixture(scope="module")
-def answers(maps: list[MapSnapshot]) -> Answers:
+def answers(maps):
     objects = [object_map(snapshot) for snapshot in maps]
     return {(a, b): align(objects[a], objects[b]) for a, b in combinations(range(len(maps)), 2)}
 
@@ -39,7 +38,7 @@ def test_each_place_is_a_group_also_where_the_first_map_is_alone(maps, answers):
 
 
 @pytest.fixture(scope="module")
-def here() -> tuple[list[MapSnapshot], dict[tuple[int, int], Alignment]]:
+def here():
     """Four maps of one place, and their alignments, which are right."""
     maps = [snapshot_of(HERE[:8], pose, i) for i, pose in enumerate(FRAMES[:4])]
     objects = [object_map(snapshot) for snapshot in maps]
@@ -47,9 +46,7 @@ def here() -> tuple[list[MapSnapshot], dict[tuple[int, int], Alignment]]:
     return maps, {pair: answer for pair, answer in found.items() if isinstance(answer, Alignment)}
 
 
-def with_a_wrong_one(
-    here: tuple[list[MapSnapshot], dict[tuple[int, int], Alignment]], count: int, bad: tuple[int, int]
-) -> tuple[list[MapSnapshot], Answers]:
+def with_a_wrong_one(here, count, bad):
     """Return some of the maps, and their alignments: one two metres off, and a little weaker than it was."""
     maps, answers = here
     right = answers[bad]

@@ -1,9 +1,7 @@
 import json
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -13,7 +11,6 @@ from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.merging.clusters import Pairing, Place, clusters_of
 from hickory_stream.merging.merge_maps import merge_maps
-from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import cloud, frame, furniture, snapshot_of
 from tests.engine.snapshot_fixtures import make_snapshot
 
@@ -22,7 +19,7 @@ B_FROM_WORLD, C_FROM_WORLD = frame(70, 2, -1), frame(-130, 0.5, 3)
 
 
 @pytest.fixture(scope="module")
-def three() -> list[MapSnapshot]:
+def three():
     """Three maps of one place: 12 objects, 12 of which 8 are the first one's, and 12 others that overlap both."""
     return [
         snapshot_of(ITEMS[:12], np.eye(4), 1),
@@ -31,12 +28,12 @@ def three() -> list[MapSnapshot]:
     ]
 
 
-def place(center: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator) -> Place:
+def place(center, half, rng):
     points = cloud(center, half, rng)
     return Place(points=points, box=gravity_aligned_box(points, 0.005))
 
 
-def save(path: Path, snapshot: MapSnapshot) -> Path:
+def save(path, snapshot):
     folder = create_map_folder(path, config={}, source={"uri": path.name})
     folder.save(snapshot)
     folder.finish(finished_cleanly=True)
@@ -156,7 +153,7 @@ def test_views_and_meshes_move_along_under_names_of_their_own(tmp_path):
     assert with_views
     names = [view.name for tracked in with_views for view in tracked.views]
     assert len(names) == len(set(names))
-    kinds: set[str] = set()
+    kinds = set()
     for tracked in with_views:
         for view in tracked.views:
             told = json.loads((saved.views / f"{view.name}.json").read_text())

@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import keys_of_cells
-from hickory_stream.records import MapSnapshot, ObservedSpace, Submap, TrackedObject
+from hickory_stream.records import MapSnapshot, ObservedSpace, Submap
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
 
 VOXEL_M = 0.05
 TABLE_AT = (1.5, 2.0)
 
 
-def boxes(*parts: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Superquadrics:
+def boxes(*parts):
     """Superquadrics with sharp edges: (centre, half extents) each."""
     return Superquadrics(
         exponents=np.full((len(parts), 2), 0.1),
@@ -20,13 +20,13 @@ def boxes(*parts: tuple[tuple[float, float, float], tuple[float, float, float]])
     )
 
 
-def table(x: float = TABLE_AT[0], y: float = TABLE_AT[1]) -> Superquadrics:
+def table(x=TABLE_AT[0], y=TABLE_AT[1]):
     """A top of 1.2 x 0.8 m at 0.7 m, 2 cm thick, on four legs."""
     legs = [((x + a, y + b, 0.35), (0.03, 0.03, 0.34)) for a in (-0.55, 0.55) for b in (-0.35, 0.35)]
     return boxes(((x, y, 0.7), (0.6, 0.4, 0.01)), *legs)
 
 
-def tracked(object_id: int, inflated: Superquadrics, *, with_shape: bool = True) -> TrackedObject:
+def tracked(object_id, inflated, *, with_shape=True):
     low = (inflated.world_from_local[:, :3, 3] - inflated.semi_axes_m).min(axis=0)
     high = (inflated.world_from_local[:, :3, 3] + inflated.semi_axes_m).max(axis=0)
     mesh, pose = box_mesh(tuple(high - low), (120, 90, 60)), placed(*((low + high) / 2))
@@ -35,7 +35,7 @@ def tracked(object_id: int, inflated: Superquadrics, *, with_shape: bool = True)
     return make_object(object_id, mesh, pose, shape=shape if with_shape else None)
 
 
-def seen_room(*, door_m: tuple[float, float] = (1.5, 2.5), dark_m: tuple[float, float] | None = None) -> ObservedSpace:
+def seen_room(*, door_m=(1.5, 2.5), dark_m=None):
     """The room's voxels; `dark_m` are the ends, along x, of what nobody saw."""
     cells = np.stack(np.meshgrid(np.arange(-1, 121), np.arange(-1, 81), np.arange(-1, 40), indexing="ij"), axis=-1)
     i, j, k = np.moveaxis(cells, -1, 0)
@@ -45,7 +45,7 @@ def seen_room(*, door_m: tuple[float, float] = (1.5, 2.5), dark_m: tuple[float, 
     is_seen = np.ones(x.shape, bool) if dark_m is None else (x < dark_m[0]) | (x > dark_m[1])
     is_wall = is_outer | is_inner
 
-    def keys(mask: np.ndarray) -> np.ndarray:
+    def keys(mask):
         return np.sort(keys_of_cells(cells[mask]))
 
     return ObservedSpace(
@@ -53,9 +53,7 @@ def seen_room(*, door_m: tuple[float, float] = (1.5, 2.5), dark_m: tuple[float, 
     )
 
 
-def snapshot(
-    *objects: TrackedObject, space: ObservedSpace | None = None, world_from_submap: np.ndarray | None = None
-) -> MapSnapshot:
+def snapshot(*objects, space=None, world_from_submap=None):
     pose = np.eye(4) if world_from_submap is None else world_from_submap
     submap = Submap(id=0, world_from_submap=pose, observed_space=space or seen_room())
     return MapSnapshot(revision=1, stamp_ns=1_700_000_000_000_000_000, submaps=(submap,), objects=objects)

@@ -11,7 +11,6 @@ from hickory_stream.geometry.superquadric_surface import display_mesh, surface_p
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.navigation.clearance import Answer, ClearanceScene
 from hickory_stream.navigation.sweep_kernels import NEAR_M
-from hickory_stream.ports import BuiltShape
 from hickory_stream.records import ObservedSpace
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from tests.navigation.rooms import tracked
@@ -19,7 +18,7 @@ from tests.shapes.shape_fixtures import shape_inputs
 from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 
-def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:
+def random_primitives(rng, count, size_m=4.0):
     rotations = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
     rotations[:, :, 2] *= np.sign(np.linalg.det(rotations))[:, None]
     poses = np.stack([from_rotation_translation(r, rng.uniform(0, size_m, 3)) for r in rotations])
@@ -28,18 +27,18 @@ def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0)
     return Superquadrics(exponents=exponents, semi_axes_m=rng.uniform(0.02, 0.5, (count, 3)), world_from_local=poses)
 
 
-def brute_force(primitives: Superquadrics, points: np.ndarray) -> np.ndarray:
+def brute_force(primitives, points):
     return np.any([log_implicit_value(primitives, i, points) <= 0 for i in range(len(primitives))], axis=0)
 
 
-def scene_of(primitives: Superquadrics) -> ClearanceScene:
+def scene_of(primitives):
     scene = ClearanceScene()
     for i in range(len(primitives)):
         scene.put(i, taken(primitives, np.array([i])))
     return scene
 
 
-def one(semi_axes: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0), e: float = 1.0):
+def one(semi_axes, at=(0, 0, 0), e=1.0):
     return Superquadrics(
         exponents=np.full((1, 2), e),
         semi_axes_m=np.array([semi_axes]),
@@ -184,7 +183,6 @@ def test_generated_surface_is_a_hit_unless_the_caller_decides():
 def test_a_box_for_leftovers_counts_as_seen():
     left_out = joined([one((0.5, 0.5, 0.5)), one((0.2, 0.2, 0.2), (2.0, 0, 0))])
     item = tracked(1, left_out)
-    assert item.shape is not None
     generated = replace(item.shape, seen_share=np.array([0.1]))
     points = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     scene = ClearanceScene.of([replace(item, shape=generated)])
@@ -225,7 +223,6 @@ def test_behind_a_front_alone_is_unknown_not_occupied():
     )
     config = ShapeConfig()
     built = build_shape(inputs, make_reconstructor("fused", config), config)
-    assert isinstance(built, BuiltShape)
     scene = ClearanceScene()
     scene.put(1, built.inflated)
     front, behind = np.array([0.05, -0.3, 0.5]), np.array([0.05, 0.1, 0.5])

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree
 import cv2
 import numpy as np
@@ -58,7 +57,7 @@ def test_a_primitives_polyhedron_is_closed_and_holds_it(seed):
         assert solid.volume < 2.2 * inner.volume
 
 
-def scene() -> tuple[list[SimulatedObject], np.ndarray]:
+def scene():
     objects = [
         SimulatedObject(
             name="table",
@@ -76,7 +75,7 @@ def scene() -> tuple[list[SimulatedObject], np.ndarray]:
     return objects, wall_boxes(snapshot().submaps[:1], Band(low_m=0.0, high_m=2.0), 0.0)
 
 
-def write(files: dict[str, bytes], folder: Path) -> None:
+def write(files, folder):
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, taken
+from hickory_stream.geometry.superquadric import taken
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
 from hickory_stream.navigation import observed
 from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls, wall_hulls
@@ -22,7 +22,7 @@ from tests.navigation.test_clearance import random_primitives
 PART = Part(low_m=0.5, high_m=1.5, disc_m=0.1)
 
 
-def grid_of(primitives: Superquadrics) -> Occupancy:
+def grid_of(primitives):
     grid = Occupancy(frame_around(np.array([-1.0, -1.0]), np.array([5.0, 5.0]), 0.05), [PART])
     for i in range(len(primitives)):
         grid.put(i, taken(primitives, np.array([i])))
@@ -99,7 +99,7 @@ def test_walls_are_occupied_and_unseen_cells_unknown(yaw):
     grid.observe(seen.walls, unknown_hulls(seen.is_known, frame, band))
     states = grid.states()
 
-    def at(x: float, y: float) -> int:
+    def at(x, y):
         place = (pose @ np.array([x, y, 0.0, 1.0]))[:2]
         ((row, column),) = frame.cells_of(place[None])
         return int(states[row, column])
@@ -154,7 +154,7 @@ def test_a_submap_is_searched_only_around_it(yaw, tilt, x, y):
 def test_a_tilting_correction_does_not_add_walls():
     level, band = snapshot().submaps[0], Band(low_m=0.05, high_m=0.6)
 
-    def tilted(rad: float) -> Submap:
+    def tilted(rad):
         turn = trimesh.transformations.rotation_matrix(rad, (1, 0, 0))
         return replace(level, world_from_submap=turn)
 

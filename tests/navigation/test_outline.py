@@ -14,13 +14,13 @@ CELL_M = 0.033
 SIZE = 160
 
 
-def cells_of(corners: np.ndarray, starts: np.ndarray, origin: tuple[float, float] = (-0.6, -0.6)) -> np.ndarray:
+def cells_of(corners, starts, origin=(-0.6, -0.6)):
     counts = np.zeros((SIZE, SIZE), np.int32)
     stamp(counts, corners, starts, np.array(origin), CELL_M, 1)
     return counts > 0
 
 
-def body_points(rng: np.random.Generator, part: Part, count: int) -> np.ndarray:
+def body_points(rng, part, count):
     """Points (count, 3) of a body around its middle: of the hull of its corners, with disc and ball."""
     weights = rng.dirichlet(np.full(len(part.corners_m), 0.3), count)
     flat = weights @ part.corners_m

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.navigation.clearance import ClearanceScene
-from hickory_stream.navigation.free_space import FreeSpace, free_space_of, without_layer_four
+from hickory_stream.navigation.free_space import free_space_of, without_layer_four
 from hickory_stream.navigation.robot import Part, Posture, Robot, load_robot, robot_of
-from hickory_stream.navigation.search import NoPath, NoPathReason, Path, SearchConfig, first_path, plan
+from hickory_stream.navigation.search import NoPathReason, Path, SearchConfig, first_path, plan
 from hickory_stream.records import MapSnapshot, Phase
 from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table, tracked
 
@@ -14,21 +14,21 @@ START, GOAL = np.array([0.7, 0.6]), np.array([5.3, 3.4])
 POINT = load_robot("point")
 
 
-def answer_of(space: FreeSpace, start: object = START, goal: object = GOAL, **config: object) -> Path | NoPath:
+def answer_of(space, start=START, goal=GOAL, **config):
     return plan(space, np.array(start), np.array(goal), SearchConfig(**config))
 
 
 @pytest.fixture(scope="module")
-def room() -> MapSnapshot:
+def room():
     return snapshot(tracked(1, table()), tracked(2, boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))))
 
 
 @pytest.fixture(scope="module")
-def space(room: MapSnapshot) -> FreeSpace:
+def space(room):
     return free_space_of(room, POINT)
 
 
-def assert_touches_nothing(path: Path, room: MapSnapshot, robot: Robot) -> None:
+def assert_touches_nothing(path, room, robot):
     """Points of the body, every 2 cm of the way and while it turns, against the superquadrics and the voxels."""
     scene = ClearanceScene()
     for item in room.objects:
@@ -58,7 +58,6 @@ def assert_touches_nothing(path: Path, room: MapSnapshot, robot: Robot) -> None:
 @pytest.mark.parametrize("planner", ["rrt", "rrt-connect", "rrt-star"])
 def test_every_planner_finds_a_free_path_through_the_door(space, room, planner):
     path = answer_of(space, planner=planner)
-    assert isinstance(path, Path)
     assert np.array_equal(path.points[0], START)
     assert np.array_equal(path.points[-1], GOAL)
     assert_touches_nothing(path, room, POINT)
@@ -66,14 +65,12 @@ def test_every_planner_finds_a_free_path_through_the_door(space, room, planner):
     direct = np.linalg.norm(START - [3.0, 1.6]) + np.linalg.norm(GOAL - [3.0, 1.6])
     assert direct - 0.1 < path.length_m < direct + 0.25
     again = answer_of(space, planner=planner)
-    assert isinstance(again, Path)
     assert np.array_equal(again.points, path.points)
 
 
 def test_a_path_ducks_under_the_table_where_the_body_fits(room):
     start, goal = (TABLE_AT[0], 0.6), (TABLE_AT[0], 3.4)
     path = answer_of(free_space_of(room, POINT), start, goal)
-    assert isinstance(path, Path)
     assert path.length_m == pytest.approx(2.8)
     two = {
         "posture": [
@@ -83,17 +80,14 @@ def test_a_path_ducks_under_the_table_where_the_body_fits(room):
     }
     robot = robot_of(two)
     path = answer_of(free_space_of(room, robot), start, goal)
-    assert isinstance(path, Path)
     assert sorted(set(path.postures.tolist())) == [0, 1]
     assert_touches_nothing(path, room, robot)
     tall = replace(robot, postures=robot.postures[:1])
     around = answer_of(free_space_of(room, tall), start, goal)
-    assert isinstance(around, Path)
     assert around.length_m > 3.0
     # Three times as dear, it is not worth it but for cutting a corner.
     dear = replace(robot, postures=(robot.postures[0], replace(robot.postures[1], cost=3.0)))
     found = answer_of(free_space_of(room, dear), start, goal)
-    assert isinstance(found, Path)
     assert found.length_m > 3.0
     assert found.cost_m < around.length_m + 1e-6
 
@@ -101,19 +95,16 @@ def test_a_path_ducks_under_the_table_where_the_body_fits(room):
 def test_a_long_robot_turns_to_pass_the_door_and_touches_nothing(room):
     robot = load_robot("jackal")
     path = answer_of(free_space_of(room, robot, cell_m=0.05))
-    assert isinstance(path, Path)
     assert_touches_nothing(path, room, robot)
     through = [(a, b) for a, b in itertools.pairwise(path.points) if min(a[0], b[0]) <= 3.0 <= max(a[0], b[0])]
     assert len(through) == 1
     narrow = free_space_of(snapshot(space=seen_room(door_m=(1.8, 2.15))), robot, cell_m=0.05)
     refused = answer_of(narrow)
-    assert isinstance(refused, NoPath)
     assert refused.reason is NoPathReason.UNREACHABLE
 
 
 def test_every_reason_for_no_path_is_told_apart(space, room):
-    def reason(answer: Path | NoPath) -> NoPathReason:
-        assert isinstance(answer, NoPath)
+    def reason(answer):
         assert answer.text
         return answer.reason
 
@@ -150,7 +141,6 @@ def test_an_object_without_layer_4_is_avoided_by_its_box(room):
     assert without_layer_four(bare) == [1]
     assert without_layer_four(room) == []
     under = answer_of(free_space_of(bare, POINT), goal=TABLE_AT)
-    assert isinstance(under, NoPath)
     assert under.reason is NoPathReason.GOAL_IN_COLLISION
     hardly_seen = replace(bare, objects=(replace(bare.objects[0], phase=Phase.TENTATIVE),))
     assert isinstance(answer_of(free_space_of(hardly_seen, POINT), goal=TABLE_AT), Path)
@@ -162,5 +152,5 @@ def test_an_object_that_goes_gives_its_place_back(room):
     space.remove(2)
     assert space.blocked().mean() < before
     assert isinstance(answer_of(space, goal=(4.5, 1.0)), Path)
-    space.put(2, room.objects[1].shape.inflated)  # type: ignore[union-attr]
+    space.put(2, room.objects[1].shape.inflated)
     assert space.blocked().mean() == before

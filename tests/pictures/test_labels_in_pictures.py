@@ -3,7 +3,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.display import color_of_id
-from hickory_stream.pictures.labels import Label, draw_labels, most_visible, place_labels
+from hickory_stream.pictures.labels import draw_labels, most_visible, place_labels
 from hickory_stream.pictures.render import labels_of
 from hickory_stream.pictures.render_parts import dots_of
 from hickory_stream.pictures.viewpoint import from_above, from_corner
@@ -12,14 +12,14 @@ from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 STEP_PX = 4
 
 
-def overlaps(labels: list[Label]) -> int:
+def overlaps(labels):
     boxes = [label.box_px for label in labels]
     return sum(
         a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for i, a in enumerate(boxes) for b in boxes[:i]
     )
 
 
-def owners_of(*squares: tuple[int, int, int, int], shape: tuple[int, int] = (100, 150)) -> np.ndarray:
+def owners_of(*squares, shape=(100, 150)):
     """Return whose surface is seen: squares (id, column, row, side), later ones over earlier ones."""
     owners = np.full(shape, -1, np.int32)
     for object_id, column, row, side in squares:

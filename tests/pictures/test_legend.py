@@ -7,7 +7,7 @@ from hickory_stream.alignment.object_map import object_map
 from hickory_stream.changes.page import COLORS, Footprint, plan_svg
 from hickory_stream.changes.records import Verdict
 from hickory_stream.geometry.display import color_of_id
-from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.geometry.mesh import mesh_of_glb, sha256_of, write_glb
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.navigation.free_space import free_space_of
@@ -48,7 +48,7 @@ def test_generated_surface_is_tinted_and_explained(tmp_path):
         made, objects = make_snapshot(folder), []
         for item in made.objects:
             if item.shape is not None and name == "generated":
-                mesh = read_glb(folder.shapes / item.shape.mesh_name)
+                mesh = mesh_of_glb((folder.shapes / item.shape.mesh_name).read_bytes())
                 mesh = replace(mesh, is_seen=np.zeros(len(mesh.vertices), bool))
                 write_glb(mesh, folder.shapes / item.shape.mesh_name)
                 item = replace(item, shape=replace(item.shape, mesh_sha256=sha256_of(mesh)))

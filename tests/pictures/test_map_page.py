@@ -11,11 +11,11 @@ from dataclasses import replace
 import pytest
 import trimesh
 from hickory_stream.errors import InputError
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.pictures.map_page import map_page
 
 
-def page_of(saved: SavedMap) -> str:
+def page_of(saved):
     meshes = trimesh.Scene()
     for item in saved.snapshot.objects:
         if item.shape is not None:
@@ -27,7 +27,7 @@ def page_of(saved: SavedMap) -> str:
     return map_page(saved, meshes).decode()
 
 
-def element(page: str, name: str) -> str:
+def element(page, name):
     (content,) = re.findall(f'<script type="[a-z/]+" id="{name}">(.*?)</script>', page, flags=re.DOTALL)
     return str(content)
 

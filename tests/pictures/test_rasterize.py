@@ -9,7 +9,7 @@ CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in
 WITHIN = np.array([[0, 0], [0.375, -0.125]], dtype=np.float32)
 
 
-def surfaces() -> list[Surface]:
+def surfaces():
     """A ball of random colours within a box, which hides a part of it."""
     ball, box = trimesh.creation.icosphere(subdivisions=3, radius=0.6), trimesh.creation.box((1.2, 0.3, 0.8))
     random = np.random.default_rng(3)

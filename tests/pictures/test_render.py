@@ -1,12 +1,11 @@
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.voxels import keys_of_cells
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.pictures.render import render_map
@@ -18,15 +17,15 @@ SIZE = (640, 300)
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> SavedMap:
-    path: Path = tmp_path_factory.mktemp("render") / "m"
+def saved(tmp_path_factory):
+    path = tmp_path_factory.mktemp("render") / "m"
     folder = create_map_folder(path, config={}, source={"uri": "desk.mcap"})
     folder.save(make_snapshot(folder))
     folder.finish(finished_cleanly=True)
     return open_map(path)
 
 
-def square(z: float, owner: int, color: tuple[int, int, int] = (255, 0, 0)) -> Surface:
+def square(z, owner, color=(255, 0, 0)):
     vertices = np.array([[-1, -1, z], [1, -1, z], [1, 1, z], [-1, 1, z]])
     return Surface(
         vertices=vertices, faces=[[0, 1, 2], [0, 2, 3]], colors=np.tile(np.uint8(color), (4, 1)), owner=owner
@@ -80,7 +79,7 @@ def test_every_viewpoint_frames_all_points(points, azimuth, elevation):
         assert np.abs(offsets - along[:, None] * directions).max() < 1e-3
 
 
-def is_like(image: np.ndarray, color: tuple[int, int, int]) -> int:
+def is_like(image, color):
     """Return how many pixels have the hue of a colour: lighting scales it."""
     pixels = image.reshape(-1, 3).astype(float)
     cosine = pixels @ np.array(color) / np.maximum(np.linalg.norm(pixels, axis=1), 1) / np.linalg.norm(color)

@@ -3,7 +3,6 @@ import re
 import shutil
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ GRAPH = solved_graph()
 WAYS = ways_of(GRAPH, [n.stamp_ns for n in GRAPH.nodes], np.array([n.uncorrected[:3, 3] for n in GRAPH.nodes]))
 
 
-def lines_of(drawing: Drawing, color: tuple[int, int, int]) -> list[Line]:
+def lines_of(drawing, color):
     # The legend's lines have two ends.
     return [p for p in drawing.parts if isinstance(p, Line) and p.color == color and len(p.places_px) > 2]
 
@@ -87,7 +86,7 @@ def test_a_dashed_line_has_gaps():
 
 
 @pytest.fixture(scope="module")
-def graph_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def graph_map(tmp_path_factory):
     path = tmp_path_factory.mktemp("graph") / "graph.map"
     snapshot = MapSnapshot(revision=3, stamp_ns=GRAPH.nodes[-1].stamp_ns, submaps=(), objects=(), graph=GRAPH)
     with closing(create_map_folder(path, config={}, source={"uri": "walk"})) as folder:
@@ -104,7 +103,7 @@ def test_render_draws_the_graph_as_png_and_svg(graph_map, tmp_path, capsys):
 
 
 @pytest.fixture
-def mapped(short_map: Path, tmp_path: Path) -> Path:
+def mapped(short_map, tmp_path):
     """A map of a log, without a graph, with its journal."""
     copy = tmp_path / "log.map"
     shutil.copytree(short_map, copy)

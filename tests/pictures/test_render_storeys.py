@@ -1,29 +1,27 @@
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.pictures.render import render_map
 from hickory_stream.pictures.render_storeys import MARGIN_PX, MOST_STOREYS, Place, places_of, storeys_to_draw
-from hickory_stream.records import MapSnapshot, TrackedObject
 from tests.engine.snapshot_fixtures import make_snapshot
 
 STOREY_M = 3.0
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> SavedMap:
-    path: Path = tmp_path_factory.mktemp("storeys") / "m"
+def saved(tmp_path_factory):
+    path = tmp_path_factory.mktemp("storeys") / "m"
     folder = create_map_folder(path, config={}, source={"uri": "house.mcap"})
     folder.save(make_snapshot(folder))
     folder.finish(finished_cleanly=True)
     return open_map(path)
 
 
-def at_height(tracked: TrackedObject, new_id: int, z_m: float) -> TrackedObject:
+def at_height(tracked, new_id, z_m):
     """Return the object without a shape, so much higher."""
     up = np.array([0.0, 0.0, z_m])
     box = OrientedBox(
@@ -33,7 +31,7 @@ def at_height(tracked: TrackedObject, new_id: int, z_m: float) -> TrackedObject:
     return replace(tracked, id=new_id, shape=None, box=box, points_world=tracked.points_world + up.astype(np.float32))
 
 
-def house(snapshot: MapSnapshot, *counts: int) -> MapSnapshot:
+def house(snapshot, *counts):
     """Return storeys with so many objects each, the lowest at 0."""
     first = next(tracked for tracked in snapshot.objects if tracked.phase != "tentative")
     objects, submaps = [], []

@@ -1,13 +1,12 @@
 """Colour on depth: a camera that is 25 mm off is told by how much and whither, and one that is right is left alone."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SCENE_BOXES, cast_scene, scene_pose
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
-from players.doctor.depth_color_alignment import ColorAlignment, border_scores, color_alignment
+from players.doctor.depth_color_alignment import border_scores, color_alignment
 from players.messages.depth_registration import Registration, register_depth
 
 CAMERA = Camera(width=480, height=360, fx=420.0, fy=420.0, cx=239.5, cy=179.5)
@@ -17,7 +16,7 @@ SHADES = np.array([(150, 145, 140), *(box.rgb for box in SCENE_BOXES)], dtype=np
 
 
 @pytest.fixture(scope="module")
-def frames() -> list[Frame]:
+def frames():
     """Six views of three plain boxes, with noise of the light."""
     rng = np.random.default_rng(3)
     made = []
@@ -30,11 +29,11 @@ def frames() -> list[Frame]:
     return made
 
 
-def agreement(frames: Sequence[Frame]) -> ColorAlignment | None:
+def agreement(frames):
     return color_alignment([scores for frame in frames if (scores := border_scores(frame)) is not None])
 
 
-def registered(frame: Frame, x_m: float, y_m: float) -> Frame:
+def registered(frame, x_m, y_m):
     """The frame as a calibration registers it that has the colour camera in a wrong place."""
     color_from_depth = np.eye(4)
     color_from_depth[:2, 3] = x_m, y_m

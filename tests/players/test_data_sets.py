@@ -1,8 +1,6 @@
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError
-from hickory_stream.evaluation.truth import Truth
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
@@ -16,7 +14,7 @@ SECONDS, RATE_HZ = 3.0, 5.0
 
 
 @pytest.fixture(scope="module", params=["kimera_multi", "nus_clb", "nus_clb_jpeg"])
-def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[Path], Truth]:
+def recorded(request, tmp_path_factory):
     layout = request.param
     folder = tmp_path_factory.mktemp(layout)
     config = RecordingConfig(layout=layout, seconds=SECONDS, rate_hz=RATE_HZ, width=160, height=120)
@@ -68,7 +66,7 @@ def test_depth_is_registered_to_colour(recorded):
 def test_every_message_is_accounted_for(recorded):
     source = open_source(recorded[1])
     assert sum(1 for _ in source.frames()) > 0
-    account = source.account().as_dict()  # type: ignore[attr-defined]
+    account = source.account().as_dict()
     assert account["declared"] == account["used"] + account["not_needed"] + sum(account["rejected"].values())
     assert account["unreadable"] == account["difference"] == account["not_played"] == 0
 

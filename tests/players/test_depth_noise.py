@@ -8,7 +8,7 @@ from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from players.doctor.depth_bias import DepthBias, depth_bias
-from players.doctor.depth_noise import DepthNoise, FlatPatches, depth_noise, flat_patches
+from players.doctor.depth_noise import DepthNoise, depth_noise, flat_patches
 
 CAMERA = Camera(width=320, height=240, fx=190.0, fy=190.0, cx=159.5, cy=119.5)
 CONFIG = DepthCameraConfig()
@@ -21,7 +21,7 @@ WALLS = (
 
 
 @cache
-def frames(bias_m: float = 0.0) -> tuple[Frame, ...]:
+def frames(bias_m=0.0):
     """Return a few frames of a room as a stereo camera sees them, with a constant added to depth."""
     found = []
     for i in range(0, 30, 5):
@@ -34,14 +34,13 @@ def frames(bias_m: float = 0.0) -> tuple[Frame, ...]:
     return tuple(found)
 
 
-def patches(bias_m: float = 0.0) -> list[FlatPatches]:
+def patches(bias_m=0.0):
     return [flat_patches(frame) for frame in frames(bias_m)]
 
 
 def test_the_noise_of_the_camera_is_found_from_what_is_flat():
     sensor = CONFIG.sensor(CAMERA.fx)
     noise = depth_noise(patches())
-    assert noise is not None
     for z in (1.5, 2.5, 3.5):
         truth = float(sensor.sigma_m(np.array([z], dtype=np.float32))[0])
         assert noise.sigma_m(z) == pytest.approx(truth, rel=0.3)

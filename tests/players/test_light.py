@@ -4,16 +4,13 @@ import numpy as np
 from players.doctor.image_brightness import brightness_of, median_brightness
 
 
-def image(*rgb: int) -> np.ndarray:
+def image(*rgb):
     return np.broadcast_to(np.array(rgb, dtype=np.uint8), (40, 60, 3))
 
 
-def test_a_black_image_is_dark_and_a_lit_one_is_not():
+def test_a_black_image_is_dark_and_one_of_one_hue_is_grey():
     assert brightness_of(image(3, 2, 4)).is_dark
     assert not brightness_of(image(90, 80, 70)).is_dark
-
-
-def test_what_has_brightness_only_is_grey():
     assert brightness_of(image(90, 90, 90)).is_grey
     assert not brightness_of(image(90, 60, 40)).is_grey
 

@@ -1,7 +1,6 @@
 """Poses, depth and colour of the embedded recording that do not fit each other: named, mended, refused by `play`."""
 
 import re
-from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -10,16 +9,15 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
 from hickory_stream.cli import main
 from players import SourceOptions, open_source
-from players.doctor.diagnosis import SOUND, UNUSABLE, WITH_LOSSES, Diagnosis, examine
+from players.doctor.diagnosis import SOUND, UNUSABLE, WITH_LOSSES, examine
 from players.doctor.motion_mends import motion_warnings
 from players.profile import load_profile, mended_profile
+from tests import player_scenes as scenes
 
 DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+M = scenes.Messages(ros=2)
 COLOR, DEPTH, ODOM = "/front/image/compressed", "/front/depth/image/compressedDepth", "/odom"
 # Neutral names, so that no profile of a robot answers for what the log lacks.
 NAMES = {
@@ -30,43 +28,32 @@ NAMES = {
     "/zed/zed_node/odom": ODOM,
 }
 Row = SimpleNamespace
-Change = Callable[[list[Row]], None]
 
 
 @cache
-def demo() -> list[tuple]:
+def demo():
     with DEMO.open("rb") as stream:
         return [
             (s.name, NAMES.get(c.topic, c.topic), m.log_time, m.data) for s, c, m in make_reader(stream).iter_messages()
         ]
 
 
-def cut(path: Path, change: Change = lambda rows: None, seconds: float = 6.0, start: float = 0.0) -> Path:
+def cut(path, change=lambda rows: None, seconds=6.0, start=0.0):
     """Write some seconds of the recording, with the messages as a change leaves them."""
     first = demo()[0][2] + start * 1e9
     chosen = [r for r in demo() if first <= r[2] <= first + seconds * 1e9 or r[1] == "/tf_static"]
-    rows = [Row(kind=k, topic=t, log_ns=n, message=STORE.deserialize_cdr(d, k)) for k, t, n, d in chosen]
+    rows = [Row(kind=k, topic=t, log_ns=n, message=M.store.deserialize_cdr(d, k)) for k, t, n, d in chosen]
     change(rows)
-    with path.open("wb") as stream:
-        writer, channels = Writer(stream), {}
-        writer.start(profile="ros2")
-        for i, row in enumerate(rows):
-            if row.topic not in channels:
-                text = STORE.generate_msgdef(row.kind, ros_version=2)[0].encode()
-                schema = writer.register_schema(row.kind, "ros2msg", text)
-                channels[row.topic] = writer.register_channel(row.topic, "cdr", schema)
-            data = bytes(STORE.serialize_cdr(row.message, row.kind))
-            writer.add_message(channels[row.topic], row.log_ns, data, row.log_ns, i)
-        writer.finish()
-    return path
+    messages = [scenes.Message(topic=row.topic, stamp_ns=row.log_ns, message=row.message) for row in rows]
+    return scenes.write_mcap(path, M, messages)
 
 
-def of(rows: list[Row], *topics: str) -> list[Row]:
+def of(rows, *topics):
     return [row for row in rows if row.topic in topics]
 
 
-def unit(per_mm: float) -> Change:
-    def change(rows: list[Row]) -> None:
+def unit(per_mm):
+    def change(rows):
         for row in of(rows, DEPTH):
             depth = cv2.imdecode(np.asarray(row.message.data[12:]), cv2.IMREAD_UNCHANGED) * per_mm
             depth = np.where(depth > 65534, 0, np.rint(depth)).astype(np.uint16)
@@ -75,8 +62,8 @@ def unit(per_mm: float) -> Change:
     return change
 
 
-def in_frame(name: str) -> Change:
-    def change(rows: list[Row]) -> None:
+def in_frame(name):
+    def change(rows):
         for row in rows:
             if row.topic.startswith("/front"):
                 row.message.header.frame_id = name
@@ -84,8 +71,8 @@ def in_frame(name: str) -> Change:
     return change
 
 
-def stamped(seconds: float, *topics: str) -> Change:
-    def change(rows: list[Row]) -> None:
+def stamped(seconds, *topics):
+    def change(rows):
         for row in of(rows, *topics):
             for header in (
                 [link.header for link in row.message.transforms] if row.topic == "/tf" else [row.message.header]
@@ -96,7 +83,7 @@ def stamped(seconds: float, *topics: str) -> Change:
     return change
 
 
-def another_robot(rows: list[Row]) -> None:
+def another_robot(rows):
     rows[:] = [row for row in rows if row.topic != "/tf"]
     for i, row in enumerate(of(rows, ODOM)):
         pose = row.message.pose.pose
@@ -106,13 +93,13 @@ def another_robot(rows: list[Row]) -> None:
         pose.orientation.z, pose.orientation.w = np.sin(-angle), np.cos(angle)
 
 
-def late_depth(rows: list[Row]) -> None:
+def late_depth(rows):
     images = of(rows, DEPTH)
     for image, after in pairwise(images):
         image.message.data = after.message.data
 
 
-def mirrored(rows: list[Row]) -> None:
+def mirrored(rows):
     for row in of(rows, COLOR, DEPTH):
         skip = 12 * (row.topic == DEPTH)
         flipped = cv2.imdecode(np.asarray(row.message.data[skip:]), cv2.IMREAD_UNCHANGED)[:, ::-1]
@@ -120,7 +107,7 @@ def mirrored(rows: list[Row]) -> None:
         row.message.data = np.concatenate([row.message.data[:skip], image])
 
 
-def examined(log: Path, **options: str) -> Diagnosis:
+def examined(log, **options):
     return examine([log], SourceOptions(**options))
 
 

@@ -1,13 +1,9 @@
 """Depth of a camera of its own, taken a little later than colour: the way between the two counts."""
 
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.ports import Source
 from players import SourceOptions, open_source
 from tests import player_scenes as scenes
 
@@ -16,7 +12,7 @@ COLOR_FROM_DEPTH = from_rotation_translation(np.eye(3), np.array([-0.03, 0.0, 0.
 OPTIONS = SourceOptions(sync_tolerance_ns=60_000_000)
 
 
-def log(path: Path, *, lag_ns: int = LAG_NS, depth_camera: Camera | None = None) -> Source:
+def log(path, *, lag_ns=LAG_NS, depth_camera=None):
     """A log whose depth is seen from 3 cm to the side, `lag_ns` after colour, by a camera that turns all the time."""
     m = scenes.Messages(2)
     camera = depth_camera or replace(scenes.CAMERA, fx=scenes.CAMERA.fx * 1.1, fy=scenes.CAMERA.fy * 1.1)
@@ -42,7 +38,7 @@ def log(path: Path, *, lag_ns: int = LAG_NS, depth_camera: Camera | None = None)
     return open_source(scenes.write_ros2(path, m, messages), OPTIONS)
 
 
-def errors_m(source: Source) -> NDArray[np.float64]:
+def errors_m(source):
     """How far the depth of every frame is off what colour's camera would have measured at colour's stamp."""
     found = []
     for raw in source.frames():
@@ -54,7 +50,7 @@ def errors_m(source: Source) -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="module")
-def moved(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64]:
+def moved(tmp_path_factory):
     return errors_m(log(tmp_path_factory.mktemp("moved") / "log"))
 
 

@@ -1,12 +1,9 @@
 import asyncio
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.engine.mapper import Mapper
@@ -15,8 +12,7 @@ from hickory_stream.evaluation.trajectory_error import trajectory_error
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
-from hickory_stream.ports import Source, SourceAround
-from hickory_stream.records import RawFrame
+from hickory_stream.ports import SourceAround
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from players import SourceOptions, open_source
 from players.first_frames import FirstFrames
@@ -32,7 +28,7 @@ HALL = CorridorConfig(length_m=9.0, width_m=6.0, beams=16, columns=360, sigma_m=
 NUM_SWEPT = 12
 
 
-def poses_of(source: Source) -> tuple[list[int], NDArray[np.float64]]:
+def poses_of(source):
     frames = list(source.frames())
     return [frame.stamp_ns for frame in frames], np.array([frame.world_from_camera for frame in frames])
 
@@ -94,12 +90,12 @@ def test_an_unregistered_frame_is_left_out_and_counted(caplog):
     class Carried(SourceAround):
         """In the middle somebody holds the camera before a wall elsewhere."""
 
-        def frames(self) -> Iterator[RawFrame]:
+        def frames(self):
             for raw in super().frames():
                 frame = raw.decode()
                 if raw.index in (5, 6):
                     frame = replace(frame, depth_m=np.full_like(frame.depth_m, 0.4))
-                yield replace(raw, decode=lambda frame=frame: frame)  # type: ignore[misc]
+                yield replace(raw, decode=lambda frame=frame: frame)
 
     source = OdometrySource(FirstFrames(Carried(open_source(DEMO)), 10), "depth")
     frames = list(source.frames())
@@ -109,9 +105,7 @@ def test_an_unregistered_frame_is_left_out_and_counted(caplog):
     assert caplog.text.count("goes on at") == 1
 
 
-def swept_log(
-    folder: Path, *, lidar_frame: str = "lidar", with_odometry: bool = False, hall: CorridorConfig = HALL
-) -> Path:
+def swept_log(folder, *, lidar_frame="lidar", with_odometry=False, hall=HALL):
     """A log with a LiDAR that sees a bare hall, while the camera sees its own scene: only the motion is one."""
     m, frames = scenes.Messages(2), scenes.make_scene(num_frames=NUM_SWEPT)
     messages = scenes.scene_messages(m, frames, scenes.raw_images, with_odometry=with_odometry)
@@ -215,8 +209,8 @@ def test_a_stopped_odometry_run_resumes_to_the_same_map(tmp_path):
     count = 16
     instances = SceneSource(count).instances
 
-    async def run(name: str, *, stops_at: int | None = None, resumes: bool = False) -> Any:
-        parts: dict[str, Any] = {"segmenter": InstanceSegmenter(instances), "extractor": MeanColorExtractor()}
+    async def run(name, *, stops_at=None, resumes=False):
+        parts = {"segmenter": InstanceSegmenter(instances), "extractor": MeanColorExtractor()}
         mapper = (
             Mapper.resuming(tmp_path / name, **parts)
             if resumes

@@ -2,27 +2,16 @@ import subprocess
 import sys
 from pathlib import Path
 import pytest
-from hickory_stream.errors import InputError, RecordingError
-from players import SourceOptions, open_source
+from hickory_stream.errors import RecordingError
+from players import open_source
 from tests import player_scenes as scenes
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _mcap(path: Path) -> Path:
+def _mcap(path):
     m = scenes.Messages(ros=2)
     return scenes.write_mcap(path, m, scenes.scene_messages(m, scenes.make_scene(), scenes.png_images))
-
-
-def test_a_path_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(RecordingError, match=r"no such file or folder: .*desk\.mcap"):
-        open_source(tmp_path / "desk.mcap")
-
-
-def test_an_empty_file_is_told(tmp_path):
-    (tmp_path / "desk.mcap").touch()
-    with pytest.raises(RecordingError, match=r"desk\.mcap is empty; expected an MCAP file"):
-        open_source(tmp_path / "desk.mcap")
 
 
 def test_a_file_of_another_kind_is_told_with_its_first_bytes(tmp_path):
@@ -34,11 +23,6 @@ def test_a_file_of_another_kind_is_told_with_its_first_bytes(tmp_path):
 def test_an_unknown_folder_layout_is_refused_with_its_contents(tmp_path):
     (tmp_path / "notes.txt").touch()
     with pytest.raises(RecordingError, match=r"no log that is known: found 1 \.txt \(such as notes\.txt\); expected"):
-        open_source(tmp_path)
-
-
-def test_an_empty_folder_is_told(tmp_path):
-    with pytest.raises(RecordingError, match="found nothing"):
         open_source(tmp_path)
 
 
@@ -106,21 +90,3 @@ def test_importing_the_players_loads_no_special_parts():
     heavy = "{'rosbags', 'mcap', 'cv2'} & set(sys.modules)"
     code = f"import sys, players; sys.exit(str({heavy}) if {heavy} else 0)"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=15)
-
-
-BAGS = ROOT / "../shared/data/bags"
-
-
-def _real_logs() -> list[Path]:
-    suffixes = (".bag", ".mcap", ".db3")
-    return sorted(p for p in BAGS.rglob("*") if p.suffix in suffixes or (p / "metadata.yaml").is_file())
-
-
-@pytest.mark.skipif(not BAGS.is_dir(), reason=f"needs real logs in {BAGS.name} beside the checkout")
-def test_real_logs_without_images_are_refused_with_the_options():
-    logs = _real_logs()
-    assert len(logs) > 50
-    for log in logs:
-        with pytest.raises(InputError, match=r"no images|holds no messages|cannot be read as") as refusal:
-            open_source(log, SourceOptions())
-        assert log.name in str(refusal.value)

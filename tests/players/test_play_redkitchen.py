@@ -1,24 +1,22 @@
 """Real, unregistered frames: 7-Scenes redkitchen."""
 
 from itertools import pairwise
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
 from hickory_stream.geometry.camera import backproject, project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.records import Frame
 from players import open_source
 
 
 @pytest.fixture(scope="module")
-def frames(redkitchen: Path) -> list[Frame]:
+def frames(redkitchen):
     raw = list(open_source(redkitchen).frames())
     assert len(raw) == 200
     return [raw[i].decode() for i in range(0, 200, 20)]
 
 
-def _agreement(a: Frame, b: Frame) -> float:
+def _agreement(a, b):
     """Return the share of a's points, seen from b's pose, that lie within 5 cm of b's depth there."""
     points = backproject(a.depth_m, a.camera).reshape(-1, 3)[::7]
     points_b = apply(invert(b.world_from_camera) @ a.world_from_camera, points[np.isfinite(points[:, 2])])

@@ -11,11 +11,11 @@ rows = st.tuples(*[numbers] * 7).filter(lambda row: np.linalg.norm(row[3:]) > 0.
 tracks = st.lists(st.tuples(st.integers(0, 5000), rows), min_size=1, max_size=12, unique_by=lambda entry: entry[0])
 
 
-def _yaw_row(x: float, yaw: float) -> list[float]:
+def _yaw_row(x, yaw):
     return [x, 0.0, 0.0, *quaternion_from_rotation(yaw_rotation(yaw)).tolist()]
 
 
-def _track(entries: list[tuple[int, list[float]]], gap_ms: int = 10_000):  # type: ignore[no-untyped-def]
+def _track(entries, gap_ms=10_000):
     track = track_of([ms * MS for ms, _ in entries], [row for _, row in entries], gap_ms * MS)
     assert track is not None
     return track
@@ -49,7 +49,7 @@ def test_an_interpolated_pose_is_rigid_and_between_neighbours(entries, ms):
 @given(tracks, st.randoms(use_true_random=False), st.integers(0, 5000))
 def test_the_order_of_the_poses_does_not_matter(entries, random, ms):
     shuffled = list(entries)
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    random.shuffle(shuffled)
     there, here = _track(entries).at(ms * MS), _track(shuffled).at(ms * MS)
     assert (there is None) == (here is None)
     if there is not None:
@@ -83,7 +83,7 @@ def test_a_track_of_nothing_is_no_track():
 
 def test_of_two_poses_at_one_stamp_the_first_stays():
     track = track_of([5, 5], [_yaw_row(1, 0), _yaw_row(2, 0)], 1)
-    assert track.at(5)[0, 3] == 1  # type: ignore[index]
+    assert track.at(5)[0, 3] == 1
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: np.linalg.norm(d) > 0.01))

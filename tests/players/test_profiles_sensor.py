@@ -5,7 +5,7 @@ import pytest
 from players.profile import load_profile, profile_names
 
 
-def sigma_m(profile: str, depth_m: float) -> float:
+def sigma_m(profile, depth_m):
     return float(load_profile(profile, robot="acl_jackal").sensor.sigma_m(np.array([depth_m], dtype=np.float32))[0])
 
 

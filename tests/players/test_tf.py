@@ -10,11 +10,11 @@ offsets = st.tuples(*[st.floats(-2, 2)] * 3)
 transforms = st.builds(lambda a, t: from_rotation_translation(yaw_rotation(a), np.array(t)), angles, offsets)
 
 
-def _static(parent: str, child: str, parent_from_child: np.ndarray) -> Edge:
+def _static(parent, child, parent_from_child):
     return Edge(parent=parent, child=child, parent_from_child=parent_from_child)
 
 
-def _at(tree: FrameTree, target: str, source: str, stamp_ns: int = 0) -> np.ndarray:
+def _at(tree, target, source, stamp_ns=0):
     chain = tree.chain(target, source)
     pose = chain.at(stamp_ns)
     assert pose is not None
@@ -22,23 +22,10 @@ def _at(tree: FrameTree, target: str, source: str, stamp_ns: int = 0) -> np.ndar
 
 
 @given(transforms, transforms, transforms)
-def test_a_chain_composes_the_links_between_two_branches(a, b, c):
+def test_a_chain_composes_the_links_between_two_branches_and_its_inverse_leads_back(a, b, c):
     tree = FrameTree([_static("base", "mast", a), _static("mast", "camera", b), _static("base", "lidar", c)])
     np.testing.assert_allclose(_at(tree, "lidar", "camera"), invert(c) @ a @ b, atol=1e-9)
-
-
-@given(transforms, transforms)
-def test_the_chain_back_is_the_inverse(a, b):
-    tree = FrameTree([_static("base", "mast", a), _static("mast", "camera", b)])
-    there, back = _at(tree, "base", "camera"), _at(tree, "camera", "base")
-    np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-9)
-
-
-@given(transforms, transforms, transforms)
-def test_a_chain_over_a_middle_frame_is_the_product(a, b, c):
-    tree = FrameTree([_static("base", "mast", a), _static("mast", "camera", b), _static("base", "lidar", c)])
-    product = _at(tree, "lidar", "base") @ _at(tree, "base", "camera")
-    np.testing.assert_allclose(_at(tree, "lidar", "camera"), product, atol=1e-9)
+    np.testing.assert_allclose(_at(tree, "camera", "lidar"), invert(a @ b) @ c, atol=1e-9)
 
 
 def test_a_frame_needs_no_link_to_itself():
@@ -56,7 +43,7 @@ def test_a_moving_link_is_interpolated_and_ends_with_its_track():
     tree = FrameTree([Edge(parent="odom", child="base", parent_from_child=track), _static("base", "camera", np.eye(4))])
     chain = tree.chain("odom", "camera")
     assert not chain.is_static
-    assert chain.at(50_000_000)[0, 3] == 1.0  # type: ignore[index]
+    assert chain.at(50_000_000)[0, 3] == 1.0
     assert chain.at(200_000_000) is None
 
 

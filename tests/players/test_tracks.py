@@ -1,4 +1,3 @@
-from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import (
@@ -16,24 +15,24 @@ MS = 1_000_000
 GAP_NS = 500 * MS
 
 
-def _walk(t_s: float) -> np.ndarray:
+def _walk(t_s):
     """Return a pose on a curved walk at 1 m/s with a sway."""
     position = np.array([t_s, 0.3 * np.sin(1.5 * t_s), 0.02 * np.sin(5 * t_s)])
     return from_rotation_translation(yaw_rotation(0.4 * np.sin(t_s)), position)
 
 
-def _row(pose: np.ndarray) -> list[float]:
+def _row(pose):
     return [*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3])]
 
 
-def _track(poses: list[tuple[float, np.ndarray]], limits: JumpLimits | None = None) -> GrowingTrack:
+def _track(poses, limits=None):
     track = GrowingTrack(GAP_NS, limits)
     for t_s, pose in poses:
         track.add(round(t_s * 1e9), _row(pose))
     return track
 
 
-def _error_m(track: GrowingTrack, t_s: float) -> float:
+def _error_m(track, t_s):
     pose = track.at(round(t_s * 1e9))
     assert pose is not None
     return float(np.linalg.norm((invert(_walk(t_s)) @ pose)[:3, 3]))
@@ -106,7 +105,7 @@ def test_what_was_forgotten_is_gone_and_the_rest_is_as_it_was():
     assert track.at(10**9) is None
 
 
-def _rivals(offset_of: Callable[[int], Sequence[float]]) -> float:
+def _rivals(offset_of):
     track = GrowingTrack(500 * MS, JumpLimits())
     for i in range(300):
         x, y, z = np.array([0.5 * 0.033 * i, 0.0, 0.0]) + offset_of(i)

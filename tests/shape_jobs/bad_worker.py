@@ -6,10 +6,9 @@ import os
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 from hickory_stream.engine.shape_jobs import worker
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import Reconstruction
 from hickory_stream.testing import BoxReconstructor
 
 WAYS = ("prints", "empty", "nan", "hangs", "grows", "segfaults", "raises", "sleeps")
@@ -18,10 +17,10 @@ WAYS = ("prints", "empty", "nan", "hangs", "grows", "segfaults", "raises", "slee
 class Bad:
     name = "fused"
 
-    def __init__(self, way: str) -> None:
+    def __init__(self, way):
         self._way = way
 
-    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+    def reconstruct(self, inputs):
         made = BoxReconstructor().reconstruct(inputs)
         assert isinstance(made, Reconstruction)
         mesh = made.mesh
@@ -51,7 +50,7 @@ class Bad:
         return Reconstruction(mesh=mesh, world_from_object=made.world_from_object)
 
 
-def write_interpreter(path: Path, way: str) -> Path:
+def write_interpreter(path, way):
     """Write a program that takes the place of a worker's interpreter."""
     path.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{__file__}" {way}\n')
     path.chmod(0o755)

@@ -1,7 +1,6 @@
 """Reconstructors that misbehave in every way we know: the job fails with its reason, the rest of the map is there."""
 
 import json
-from pathlib import Path
 import pytest
 from hickory_stream.base.caches import cache_folder
 from hickory_stream.box_scene import SCENE_BOXES
@@ -45,7 +44,7 @@ def test_a_failing_job_says_why_and_leaves_the_rest_of_the_map(tmp_path, way, re
     assert shape_workers() == []
 
 
-def _reasons(path: Path) -> str:
+def _reasons(path):
     from hickory_stream.journal.reader import Journal
 
     with Journal(path) as journal:

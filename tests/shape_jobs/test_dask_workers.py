@@ -2,11 +2,8 @@ import asyncio
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from socket import create_connection, socket
-from typing import Any
 import psutil
 import pytest
 from hickory_stream.engine.shape_jobs.dask_workers import DaskWorkers
@@ -22,18 +19,18 @@ LIMITS = WorkerLimits(time_s=60.0, memory_mb=4000.0)
 WORKER = ("worker", "--no-dashboard", "--nthreads", "1", "--death-timeout", "60")
 
 
-def free_port() -> int:
+def free_port():
     with socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
-def dask(*arguments: str) -> subprocess.Popen[bytes]:
+def dask(*arguments):
     command = [sys.executable, "-m", "dask", *arguments]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
 
-def scheduler(port: int) -> subprocess.Popen[bytes]:
+def scheduler(port):
     process = dask("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
     until_s = time.monotonic() + 60
     while time.monotonic() < until_s:
@@ -46,7 +43,7 @@ def scheduler(port: int) -> subprocess.Popen[bytes]:
     raise AssertionError("no scheduler within a minute")
 
 
-def end(process: subprocess.Popen[bytes]) -> None:
+def end(process):
     """Kill a process with its children: a nanny has one."""
     for child in [*psutil.Process(process.pid).children(recursive=True), process]:
         try:
@@ -57,7 +54,7 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 
 @contextmanager
-def cluster(workers: int = 1) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def cluster(workers=1):
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     processes = [scheduler(port), *(dask(*WORKER, address) for _ in range(workers))]
@@ -69,7 +66,7 @@ def cluster(workers: int = 1) -> Iterator[tuple[str, list[subprocess.Popen[bytes
                 end(process)
 
 
-def jobs(tmp_path: Path, count: int) -> list[Path]:
+def jobs(tmp_path, count):
     (tmp_path / "views").mkdir()
     request = scene_request(tmp_path / "views")
     folders = [tmp_path / "jobs" / str(i) for i in range(count)]
@@ -78,7 +75,7 @@ def jobs(tmp_path: Path, count: int) -> list[Path]:
     return folders
 
 
-def hashes(folders: list[Path], tmp_path: Path) -> set[str]:
+def hashes(folders, tmp_path):
     (tmp_path / "shapes").mkdir(exist_ok=True)
     shapes = [take_result(folder, i, 3, tmp_path / "shapes").shape for i, folder in enumerate(folders)]
     return {shape.mesh_sha256 for shape in shapes if shape is not None}
@@ -93,33 +90,19 @@ def test_a_cluster_makes_the_same_map_as_child_processes(tmp_path, undisturbed_r
     assert away.folder.manifest.is_reproducible
 
 
-def test_a_worker_that_is_lost_in_mid_job_loses_no_job(tmp_path):
+@pytest.mark.parametrize("is_scheduler_lost", [False, True])
+def test_a_worker_or_a_scheduler_that_is_lost_in_mid_job_loses_no_job(tmp_path, is_scheduler_lost):
     folders = jobs(tmp_path, 4)
 
-    async def run(address: str, processes: list[subprocess.Popen[bytes]]) -> list[Any]:
+    async def run(address, processes):
         async with DaskWorkers(address, LIMITS) as workers:
             answers = [workers.submit(folder) for folder in folders]
             await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
-            await asyncio.to_thread(end, processes[1])
-            processes.append(dask(*WORKER, address))
-            return await asyncio.gather(*answers)
-
-    with cluster() as (address, processes):
-        assert asyncio.run(run(address, processes)) == [None] * 4
-    assert len(hashes(folders, tmp_path)) == 1
-
-
-def test_a_scheduler_that_is_lost_and_regained_loses_no_job(tmp_path):
-    folders = jobs(tmp_path, 4)
-
-    async def run(address: str, processes: list[subprocess.Popen[bytes]]) -> list[Any]:
-        async with DaskWorkers(address, LIMITS) as workers:
-            answers = [workers.submit(folder) for folder in folders]
-            await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
-            for process in processes:
+            for process in processes if is_scheduler_lost else processes[1:]:
                 await asyncio.to_thread(end, process)
-            port = int(address.rpartition(":")[2])
-            processes[:] = [await asyncio.to_thread(scheduler, port), dask(*WORKER, address)]
+            if is_scheduler_lost:
+                processes.append(await asyncio.to_thread(scheduler, int(address.rpartition(":")[2])))
+            processes.append(dask(*WORKER, address))
             return await asyncio.gather(*answers)
 
     with cluster() as (address, processes):

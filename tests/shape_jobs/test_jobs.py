@@ -1,42 +1,38 @@
 import json
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.engine.shape_jobs.job_folder import job_folder, read_job, take_result, write_job, write_result
 from hickory_stream.errors import MapFolderError, WorkerError
-from hickory_stream.events import RequestShape
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.mesh import sha256_of
 from hickory_stream.map_folder.views import crop_files, read_crop
-from hickory_stream.ports import BuiltShape, NoShape
-from hickory_stream.shapes.build import ShapeConfig, build_shape
+from hickory_stream.ports import NoShape
+from hickory_stream.shapes.build import build_shape
 from hickory_stream.testing import BoxReconstructor
 from tests.engine.run_fixtures import scene_config, scene_request
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> ShapeConfig:
+def config(tmp_path):
     return scene_config(tmp_path / "config").shapes
 
 
 @pytest.fixture
-def request_3(tmp_path: Path) -> RequestShape:
+def request_3(tmp_path):
     (tmp_path / "views").mkdir()
     return scene_request(tmp_path / "views")
 
 
-def written(tmp_path: Path, request: RequestShape, config: ShapeConfig) -> Path:
+def written(tmp_path, request, config):
     folder = job_folder(tmp_path / "jobs", request.ticket)
     write_job(folder, request, tmp_path / "views", config)
     return folder
 
 
-def built(folder: Path) -> BuiltShape:
+def built(folder):
     inputs, config = read_job(folder)
-    answer = build_shape(inputs, BoxReconstructor(), config)
-    assert isinstance(answer, BuiltShape)
-    return answer
+    return build_shape(inputs, BoxReconstructor(), config)
 
 
 def test_a_worker_reads_what_was_asked_for(tmp_path, request_3, config):

@@ -2,7 +2,6 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
 import pytest
 from tools.benchmarks.scale.processors import digest_on, variants
 
@@ -16,7 +15,7 @@ for found in (np.cbrt(x), np.array([math.sin(v) for v in x.ravel()]), x @ x):
 """
 
 
-def sampled(environment: Mapping[str, str]) -> list[str]:
+def sampled(environment):
     ran = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", _SAMPLE], env={**os.environ, **environment}, capture_output=True,
         text=True, check=True,

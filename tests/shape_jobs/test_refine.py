@@ -1,6 +1,5 @@
 import json
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ class Embedded:
     guesses: list[Any] = field(default_factory=list)
     name: str = "embedded"
 
-    def place(self, mesh: Mesh, inputs: ShapeInputs, guess: Any = None) -> MeshPlacement:
+    def place(self, mesh, inputs, guess=None):
         del mesh, inputs
         self.guesses.append(guess)
         found = MeshPlacement(
@@ -54,16 +53,16 @@ class Program:
     is_closed: bool = False
     name: str = "program"
 
-    def ask(self, folder: Path, job: str) -> None:
+    def ask(self, folder, job):
         with np.load(folder / "model.npz") as content:
             self.model, self.colors = content["vertices"], content["colors"]
         (folder / "result.json").write_text(json.dumps({"job": job, **self.said}))
 
-    def close(self) -> None:
+    def close(self):
         self.is_closed = True
 
 
-def given() -> ShapeInputs:
+def given():
     depth = np.full((SCENE_CAMERA.height, SCENE_CAMERA.width), 2.0, np.float32)
     crop = Crop(
         rgb=np.zeros((*depth.shape, 3), np.uint8), depth_m=depth, mask=np.ones(depth.shape, bool), camera=SCENE_CAMERA,
@@ -79,7 +78,7 @@ def given() -> ShapeInputs:
 @pytest.mark.parametrize("cost", [0.5, 1.5])
 def test_the_pose_that_is_contradicted_less_stays(cost):
     program, embedded = Program({"camera_from_mesh": TOLD.tolist()}), Embedded(cost)
-    found = ExternalRefiner(program, embedded).place(MESH, given())  # type: ignore[arg-type]
+    found = ExternalRefiner(program, embedded).place(MESH, given())
     placed = apply(FIRST, CORNERS.astype(np.float64))
     middle = (placed.min(axis=0) + placed.max(axis=0)) / 2
     # It is shown the mesh as large as it was placed, about its own middle.
@@ -88,7 +87,6 @@ def test_the_pose_that_is_contradicted_less_stays(cost):
     expected = apply(scene_pose(3) @ TOLD, placed - middle)
     assert embedded.guesses[0] is None
     assert apply(embedded.guesses[1], CORNERS.astype(np.float64)) == pytest.approx(expected, abs=1e-6)
-    assert isinstance(found, MeshPlacement)
     assert found.cost == min(cost, 1.0)
 
 
@@ -97,20 +95,18 @@ def test_the_pose_that_is_contradicted_less_stays(cost):
 )
 def test_an_answer_that_is_not_a_rigid_pose_changes_nothing(said):
     program, embedded = Program(said), Embedded(0.1)
-    found = ExternalRefiner(program, embedded).place(MESH, given())  # type: ignore[arg-type]
-    assert isinstance(found, MeshPlacement)
+    found = ExternalRefiner(program, embedded).place(MESH, given())
     assert (found.cost, len(embedded.guesses), program.is_closed) == (1.0, 1, True)
 
 
 def test_a_program_that_crashes_leaves_the_embedded_placement(monkeypatch):
     program = Program({})
 
-    def crash(folder: Path, job: str) -> None:
+    def crash(folder, job):
         raise WorkerError(f"crashed over {job} in {folder}")
 
     monkeypatch.setattr(program, "ask", crash)
-    found = ExternalRefiner(program, Embedded(0.1)).place(MESH, given())  # type: ignore[arg-type]
-    assert isinstance(found, MeshPlacement)
+    found = ExternalRefiner(program, Embedded(0.1)).place(MESH, given())
     assert found.cost == 1.0
 
 
@@ -120,7 +116,6 @@ def test_a_generators_refiner_counts_with_licence_and_content(tmp_path):
     refiner.write_text('name = "r"\ncommand = ["python"]\nacceptance = "two"\n')
     spec = read_spec(generator)
     before, found = fingerprint(spec), refiner_of(spec)
-    assert found is not None
     for each in (spec, found):
         check_licence(each, "one; two")
     with pytest.raises(ConfigError, match=r'run\.accept_licence = "two"'):

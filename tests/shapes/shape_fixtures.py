@@ -1,6 +1,5 @@
 """Objects with a known shape, and what cameras see of them: the ground truth of the tests of layers 2 to 4."""
 
-from typing import Any
 import numpy as np
 import trimesh
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -16,7 +15,7 @@ from tools.evaluation.shapes.meshes import MESH_NAMES, test_mesh
 __all__ = ["MESH_NAMES", "test_mesh"]
 
 
-def as_mesh(shape: trimesh.Trimesh) -> Mesh:
+def as_mesh(shape):
     count = len(shape.vertices)
     return Mesh(
         vertices=shape.vertices,
@@ -26,7 +25,7 @@ def as_mesh(shape: trimesh.Trimesh) -> Mesh:
     )
 
 
-def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+def looking_at(eye, target):
     """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1])
@@ -37,7 +36,7 @@ def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
     return pose
 
 
-def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
+def ray_scene(meshes):
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     for mesh in meshes:
@@ -45,7 +44,7 @@ def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
     return scene
 
 
-def cast_view(scene: Any, camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cast_view(scene, camera, world_from_camera):
     """Return the depth along the axis (inf where nothing is hit) and the index of the mesh hit."""
     o3d = import_open3d()
     pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
@@ -56,15 +55,8 @@ def cast_view(scene: Any, camera: Camera, world_from_camera: np.ndarray) -> tupl
 
 
 def shape_inputs(
-    shape: trimesh.Trimesh,
-    num_views: int,
-    *,
-    azimuths_rad: tuple[float, float] = (0.3, 0.3 + 2 * np.pi),
-    noise: float = 0.01,
-    elevation_rad: float = 0.5,
-    seed: int = 0,
-    margin_px: int = 12,
-) -> ShapeInputs:
+    shape, num_views, *, azimuths_rad=(0.3, 0.3 + 2 * np.pi), noise=0.01, elevation_rad=0.5, seed=0, margin_px=12
+):
     """Return what `num_views` cameras around an object on a floor see of it; depth noise is `noise` times the depth."""
     rng = np.random.default_rng(seed)
     camera = Camera(width=640, height=480, fx=525, fy=525, cx=319.5, cy=239.5)
@@ -103,14 +95,14 @@ def shape_inputs(
     )
 
 
-def fused_points(points: np.ndarray, colors: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
+def fused_points(points, colors, voxel_m):
     """Return one point per voxel that at least three points fell into, as the tracks keep them."""
     keys, first, counts = np.unique(keys_of_points(points, voxel_m), return_index=True, return_counts=True)
     kept = counts >= min(3, counts.max())
     return centers_of_keys(keys[kept], voxel_m), colors[first[kept]]
 
 
-def occupancy_iou(shape: trimesh.Trimesh, vertices_world: np.ndarray, faces: np.ndarray, cells: int = 64) -> float:
+def occupancy_iou(shape, vertices_world, faces, cells=64):
     """Return the IoU of the solids on a grid over both (inside by ray parity, part by part)."""
     low = np.minimum(shape.bounds[0], vertices_world.min(axis=0))
     high = np.maximum(shape.bounds[1], vertices_world.max(axis=0))
@@ -122,7 +114,7 @@ def occupancy_iou(shape: trimesh.Trimesh, vertices_world: np.ndarray, faces: np.
     return float((truth & other).sum() / (truth | other).sum())
 
 
-def solid_of_parts(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+def solid_of_parts(shape, points):
     solid = np.zeros(points.shape[:-1], bool)
     parts = shape.split(only_watertight=True)
     for part in parts if len(parts) else [shape]:
@@ -130,35 +122,13 @@ def solid_of_parts(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     return solid
 
 
-def inside(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+def inside(shape, points):
     o3d = import_open3d()
     scene = ray_scene([shape])
     return scene.compute_occupancy(o3d.core.Tensor(np.ascontiguousarray(points, np.float32)), nsamples=3).numpy() > 0.5
 
 
-def shaded(
-    meshes: list[tuple[np.ndarray, np.ndarray, np.ndarray]], world_from_camera: np.ndarray, camera: Camera
-) -> np.ndarray:
-    """Return an (H, W, 3) picture of (vertices, faces, face colours), lit from the camera."""
-    scene = ray_scene([trimesh.Trimesh(v, f, process=False) for v, f, _ in meshes])
-    o3d = import_open3d()
-    pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
-    directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    origins = np.broadcast_to(world_from_camera[:3, 3].astype(np.float32), directions.shape)
-    answer = scene.cast_rays(o3d.core.Tensor(np.ascontiguousarray(np.concatenate([origins, directions], axis=-1))))
-    normals, ids = answer["primitive_normals"].numpy(), answer["geometry_ids"].numpy()
-    faces = answer["primitive_ids"].numpy()
-    facing = -(normals * directions).sum(axis=-1)
-    picture = np.full((*ids.shape, 3), 255.0)
-    for i, (_, _, face_colors) in enumerate(meshes):
-        here = ids == i
-        light = np.where(facing[here] > 0, 0.35 + 0.65 * facing[here], 0.1)
-        picture[here] = face_colors[faces[here]] * light[:, None]
-    return picture.clip(0, 255).astype(np.uint8)
-
-
-def tangent_distance(row: np.ndarray, point: np.ndarray, depth: float) -> float:
+def tangent_distance(row, point, depth):
     """Return the distance of one point to a tangent plane of a primitive (`tangent_planes`), in plain Python."""
     e1, e2, log_a, log_b, log_c = row[:5].tolist()
     dx, dy, dz = (np.asarray(point) - row[5:8]).tolist()
@@ -197,7 +167,7 @@ def tangent_distance(row: np.ndarray, point: np.ndarray, depth: float) -> float:
     return -planar if reach < best * 4.0 and planar < best else -best
 
 
-def _softmax(log_a: float, log_b: float, exponent: float) -> tuple[float, float, float]:
+def _softmax(log_a, log_b, exponent):
     # ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum.
     gap = 2.0 / exponent * (log_b - log_a)
     small = exp(-abs(gap))
@@ -206,5 +176,5 @@ def _softmax(log_a: float, log_b: float, exponent: float) -> tuple[float, float,
     return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
 
 
-def _length(x: float, y: float, z: float) -> float:
+def _length(x, y, z):
     return float(np.sqrt(x * x + y * y + z * z))

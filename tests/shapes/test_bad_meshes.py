@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
-from hickory_stream.ports import BuiltShape, Reconstruction, ShapeInputs
+from hickory_stream.geometry.superquadric import implicit_value
+from hickory_stream.ports import Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
@@ -19,7 +19,7 @@ from tests.shapes.shape_fixtures import as_mesh, test_mesh
 COARSE = FitConfig(cells=24, joint_samples=800)
 
 
-def mesh_of(vertices: object, faces: object) -> Mesh:
+def mesh_of(vertices, faces):
     vertices = np.asarray(vertices, dtype=np.float32).reshape(-1, 3)
     return Mesh(
         vertices=vertices,
@@ -29,7 +29,7 @@ def mesh_of(vertices: object, faces: object) -> Mesh:
     )
 
 
-def certified(mesh: Mesh, margin: float, config: FitConfig = COARSE) -> Superquadrics:
+def certified(mesh, margin, config=COARSE):
     mesh = usable(mesh)
     fitted = fit_superquadrics(mesh, config)
     vertices = mesh.vertices.astype(np.float64)
@@ -113,7 +113,7 @@ def test_a_wasteful_reconstructors_shape_keeps_its_surface():
     class Wasteful:
         name = "wasteful"
 
-        def reconstruct(self, inputs: ShapeInputs) -> Reconstruction:
+        def reconstruct(self, inputs):
             mesh = mesh_of(np.concatenate([BOX.vertices, [[100, 0, 0]]]), BOX.faces)
             return Reconstruction(mesh=replace(mesh, is_seen=np.arange(9) < 8), world_from_object=np.eye(4))
 
@@ -125,7 +125,6 @@ def test_a_wasteful_reconstructors_shape_keeps_its_surface():
         crops=(),
     )
     built = build_shape(inputs, Wasteful(), ShapeConfig(fit=COARSE))
-    assert isinstance(built, BuiltShape)
     assert len(built.reconstruction.mesh.vertices) == 8
     assert (built.seen_share == 1.0).all()
     assert built.inflated.semi_axes_m.max() < 0.3

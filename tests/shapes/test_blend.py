@@ -5,7 +5,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import Reconstruction, ShapeInputs
+from hickory_stream.ports import Reconstruction
 from hickory_stream.shapes.generated.blend import blended
 from hickory_stream.shapes.generated.distance_field import even_samples
 from hickory_stream.shapes.reconstruct.fused import VolumeConfig
@@ -15,20 +15,19 @@ from tools.evaluation.shapes.spoiled_generator import plain_mesh
 VOLUME = VolumeConfig(cells=32)
 
 
-def body(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+def body(size, at=(0, 0, 0)):
     return trimesh.creation.box(size).apply_translation((at[0], at[1], at[2] + size[2] / 2))
 
 
 @pytest.fixture(scope="module")
-def inputs() -> ShapeInputs:
+def inputs():
     """A box of 0.4 x 0.3 x 0.5 m, seen from one side."""
     return shape_inputs(body((0.4, 0.3, 0.5)), 2, azimuths_rad=(0.3, 0.9), noise=0.002)
 
 
-def joined(made: trimesh.Trimesh, inputs: ShapeInputs) -> tuple[Reconstruction, np.ndarray]:
+def joined(made, inputs):
     mesh = plain_mesh(np.asarray(made.vertices), np.asarray(made.faces))
     answer = blended(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), inputs, VOLUME)
-    assert isinstance(answer, Reconstruction)
     return answer, apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
 
 

@@ -9,7 +9,7 @@ from tests.strategies import rotations
 _LOW, _HIGH = np.array([-9, -9, -9]), np.array([10, 10, 10])
 
 
-def occupancies_one_by_one(row: np.ndarray) -> np.ndarray:
+def occupancies_one_by_one(row):
     """Return the same cell by cell: what follows a cell far away is as it is."""
     body = body_of(row)
     out = np.empty(_HIGH - _LOW, np.float32)

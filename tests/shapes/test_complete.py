@@ -6,7 +6,7 @@ from hickory_stream.shapes.reconstruct.completion import FREE, SOLID, solid_of
 INNER = (slice(3, 17), slice(3, 17), slice(3, 17))
 
 
-def seen_front(top_depth: int) -> np.ndarray:
+def seen_front(top_depth):
     """A block of which the front was seen, and so many layers of the top behind it."""
     states = np.zeros((20, 20, 20), np.uint8)
     states[:, :3, :] = FREE
@@ -55,7 +55,7 @@ def test_seen_free_space_is_never_filled():
     assert not (solid_of(states, INNER, None, 0) & (states == FREE)).any()
 
 
-def seen_bed() -> np.ndarray:
+def seen_bed():
     """A slab over the support, layer 3: its sides and top are seen, and free space before and a bit under it."""
     states = np.zeros((40, 40, 30), np.uint8)
     states[:, :4, 3:] = FREE

@@ -5,7 +5,7 @@ import pytest
 from hickory_stream.shapes.inflate.cover import undominated
 
 
-def by_definition(points: np.ndarray) -> np.ndarray:
+def by_definition(points):
     """Return (N,) which points have no other one beyond them in all three coordinates."""
     beyond = (points[None] >= points[:, None]).all(axis=2) & (points[None] > points[:, None]).any(axis=2)
     return np.asarray(~beyond.any(axis=1))

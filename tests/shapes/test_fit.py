@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from hickory_stream.geometry.rigid import apply, yaw_rotation
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3, world_bounds
+from hickory_stream.geometry.superquadric import log_implicit_value, volumes_m3, world_bounds
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics, fitted_shape
 from hickory_stream.shapes.fit.quadric_lm import refined, row_of
 from hickory_stream.shapes.fit.tangent_planes import distances_of
@@ -15,7 +15,7 @@ from tools.evaluation.shapes.meshes import hollow_mesh
 CONFIG = FitConfig()
 
 
-def union_iou(primitives: Superquadrics, mesh: trimesh.Trimesh) -> float:
+def union_iou(primitives, mesh):
     grid = distance_grid(np.asarray(mesh.vertices), mesh.faces.astype(np.int32), cells=48, band_cells=3.0)
     points = grid.points(np.arange(grid.values.size))
     inside = np.zeros(len(points), dtype=bool)
@@ -71,12 +71,6 @@ def test_the_unit_of_length_does_not_matter(scale):
     large = fit_superquadrics(as_mesh(scaled), CONFIG)
     assert len(large) == len(small)
     assert volumes_m3(large).sum() / scale**3 == pytest.approx(volumes_m3(small).sum(), rel=0.02)
-
-
-def test_the_same_mesh_gives_the_same_primitives_to_the_byte():
-    first, second = (fit_superquadrics(as_mesh(test_mesh("chair")), CONFIG) for _ in range(2))
-    assert first.semi_axes_m.tobytes() == second.semi_axes_m.tobytes()
-    assert first.world_from_local.tobytes() == second.world_from_local.tobytes()
 
 
 def test_a_bowl_becomes_its_envelope():

@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import NoShape, Reconstruction
 from hickory_stream.shapes.generated.judgement import by_other_views, newly_seen
-from tools.evaluation.shapes.spoiled_generator import Sighted, plain_mesh, sighted
+from tools.evaluation.shapes.spoiled_generator import plain_mesh, sighted
 
 
 class Knows:
@@ -14,26 +14,24 @@ class Knows:
 
     name = "knows"
 
-    def __init__(self, answer: Reconstruction | NoShape) -> None:
+    def __init__(self, answer):
         self.answer = answer
-        self.shown: ShapeInputs | None = None
+        self.shown = None
 
-    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+    def reconstruct(self, inputs):
         self.shown = inputs
         return self.answer
 
 
 @pytest.fixture(scope="module")
-def seen() -> Sighted:
+def seen():
     """A box that is seen from three sides of an arc."""
     whole = trimesh.creation.box((0.5, 0.3, 0.4)).apply_translation((0, 0, 0.2)).subdivide().subdivide().subdivide()
     mesh = plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
-    found = sighted(mesh, np.random.default_rng(3), 3)
-    assert found is not None
-    return found
+    return sighted(mesh, np.random.default_rng(3), 3)
 
 
-def placed(seen: Sighted, *, flattened: float) -> Reconstruction:
+def placed(seen, *, flattened):
     """Return the truth, with what lies behind the middle of what the first view sees drawn towards that by a share."""
     mesh, crop = seen.mesh_world, seen.made_from.crops[0]
     vertices = mesh.vertices.astype(np.float64)
@@ -45,7 +43,6 @@ def placed(seen: Sighted, *, flattened: float) -> Reconstruction:
 
 def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen):
     found = newly_seen(seen.made_from, 1)
-    assert found is not None
     first, new, size_m = found
     assert len(new) > 100
     nearest = np.linalg.norm(new[:, None] - first[None, ::5], axis=2).min(axis=1)
@@ -62,7 +59,7 @@ def test_a_made_up_back_loses_to_a_better_foretelling_shape(seen):
     assert "the embedded one 1.00" in refused.reason
     # The embedded shape is asked with the generator's views alone, and with no points that only others saw.
     assert knows.shown.crops == seen.made_from.crops[:1]
-    assert len(newly_seen(seen.made_from, 1)[0]) == len(knows.shown.points_world)  # type: ignore[index]
+    assert len(newly_seen(seen.made_from, 1)[0]) == len(knows.shown.points_world)
 
 
 @pytest.mark.parametrize("other", ["flat", "none"])

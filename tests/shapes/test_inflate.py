@@ -21,7 +21,7 @@ COARSE = FitConfig(cells=24, joint_samples=800)
 
 
 @st.composite
-def primitives(draw: st.DrawFn) -> Superquadrics:
+def primitives(draw):
     count = draw(st.integers(1, 3))
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
     poses = np.tile(np.eye(4), (count, 1, 1))
@@ -34,20 +34,20 @@ def primitives(draw: st.DrawFn) -> Superquadrics:
     )
 
 
-def lowest_g(shape: Superquadrics, points: np.ndarray) -> np.ndarray:
+def lowest_g(shape, points):
     return np.min([implicit_value(shape, i, points) for i in range(len(shape))], axis=0)
 
 
-def on_sphere(rng: np.random.Generator, count: int) -> np.ndarray:
+def on_sphere(rng, count):
     directions = rng.normal(size=(count, 3))
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def arrays_of(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+def arrays_of(mesh):
     return np.asarray(mesh.vertices, dtype=np.float64), mesh.faces.astype(np.int32)
 
 
-def sampled_solid(mesh: trimesh.Trimesh, margin: float, rng: np.random.Generator) -> np.ndarray:
+def sampled_solid(mesh, margin, rng):
     """Return points of the surface, each moved by the margin in a random direction and in that of the normal."""
     points, faces = trimesh.sample.sample_surface(mesh, 1500, seed=int(rng.integers(1 << 30)))
     return np.concatenate(
@@ -216,13 +216,13 @@ def test_without_a_primitive_a_box_takes_its_place_and_says_so():
     assert len(found.primitives) == 1
 
 
-def box_like(half: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> Superquadrics:
+def box_like(half, at=(0, 0, 0)):
     pose = np.eye(4)
     pose[:3, 3] = at
     return Superquadrics(exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([half]), world_from_local=pose[None])
 
 
-def block(size: tuple[float, float, float], at: tuple[float, float, float]) -> trimesh.Trimesh:
+def block(size, at):
     mesh = trimesh.creation.box(size)
     mesh.apply_translation(at)
     return mesh

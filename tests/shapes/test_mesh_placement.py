@@ -5,18 +5,17 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
-from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction, ShapeInputs
+from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction
 from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
 from hickory_stream.shapes.generated.judgement import JudgementConfig, ShapeEvidence, judged, replaces, shape_evidence
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
-from tools.evaluation.shapes.spoiled_generator import Generated, Sighted, generated, plain_mesh, sighted
+from tools.evaluation.shapes.spoiled_generator import generated, plain_mesh, sighted
 
 CONFIG = PlacementConfig(rotations=300, descents=24, finalists=4)
 
 
-def hooked() -> Mesh:
+def hooked():
     """Return a body without any symmetry, that stands on z = 0."""
     parts = [
         trimesh.creation.box((0.5, 0.3, 0.1)).apply_translation((0, 0, 0.05)),
@@ -27,26 +26,24 @@ def hooked() -> Mesh:
     return plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
 
 
-def box(size: tuple[float, float, float]) -> Mesh:
+def box(size):
     whole = trimesh.creation.box(size).apply_translation((0, 0, size[2] / 2)).subdivide().subdivide().subdivide()
     return plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
 
 
 @pytest.fixture(scope="module")
-def seen() -> Sighted:
-    found = sighted(hooked(), np.random.default_rng(4), 3)
-    assert found is not None
-    return found
+def seen():
+    return sighted(hooked(), np.random.default_rng(4), 3)
 
 
-def adds(seen: Sighted, given: Generated, placement: MeshPlacement) -> float:
+def adds(seen, given, placement):
     """Return ADD-S as a share of the size, of the truth as oracle and placement carry it."""
     true, _ = even_samples(seen.mesh_world.vertices, seen.mesh_world.faces, 1500)
     moved = apply(placement.world_from_mesh @ given.mesh_from_true, true)
     return float(cKDTree(moved).query(true)[0].mean() / np.linalg.norm(np.ptp(true, axis=0)))
 
 
-def placed(given: Generated, inputs: ShapeInputs) -> MeshPlacement:
+def placed(given, inputs):
     found = EmbeddedPlacement(CONFIG).place(given.mesh, inputs)
     assert isinstance(found, MeshPlacement), found
     return found
@@ -71,20 +68,17 @@ def test_the_same_inputs_give_the_same_bits(seen):
 
 def test_a_stretch_is_found_within_its_bounds_and_told():
     seen = sighted(hooked(), np.random.default_rng(6), 5)
-    assert seen is not None
     given = generated(seen, np.random.default_rng(0), is_spoiled=False)
     long = given.mesh.vertices.astype(np.float64) @ own_axes(given.mesh)
     stretched = plain_mesh(long * np.array([1.0, 1.0, 1.25]), given.mesh.faces)
     found = EmbeddedPlacement(CONFIG).place(stretched, seen.made_from)
-    assert isinstance(found, MeshPlacement)
     assert found.stretch.prod() == pytest.approx(1)
     assert 1.12 < found.stretch.max() / found.stretch.min() < 1.4
     rigid = EmbeddedPlacement(replace(CONFIG, most_stretch=1.0)).place(stretched, seen.made_from)
-    assert isinstance(rigid, MeshPlacement)
     assert np.ptp(rigid.stretch) < 1e-9
 
 
-def own_axes(mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def own_axes(mesh):
     """Return (3, 3) right-handed columns, the principal axes of a mesh."""
     samples, _ = even_samples(mesh.vertices, mesh.faces, 5000)
     axes = np.linalg.eigh(np.cov(samples.T))[1]
@@ -93,7 +87,6 @@ def own_axes(mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 
 def test_what_fits_as_well_when_it_is_turned_is_called_symmetric():
     seen = sighted(box((0.4, 0.3, 0.5)), np.random.default_rng(1), 4)
-    assert seen is not None
     given = generated(seen, np.random.default_rng(1), is_spoiled=False)
     found = placed(given, seen.made_from)
     assert adds(seen, given, found) < 0.02
@@ -107,7 +100,6 @@ def test_what_was_not_seen_or_is_no_surface_is_not_placed(seen):
     assert isinstance(EmbeddedPlacement(CONFIG).place(seen.mesh_world, nothing), NotPlaced)
     flat = plain_mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     found = EmbeddedPlacement(CONFIG).place(flat, seen.made_from)
-    assert isinstance(found, NotPlaced)
     assert "area" in found.reason
 
 
@@ -123,10 +115,8 @@ def test_distances_are_those_to_the_surface():
     assert (found > true - field.cell).all()
 
 
-def evidence_of(mesh: Mesh, seen: Sighted) -> ShapeEvidence:
-    found = shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1)
-    assert found is not None
-    return found
+def evidence_of(mesh, seen):
+    return shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1)
 
 
 def test_the_truth_is_accepted_and_other_things_are_refused(seen):

@@ -19,7 +19,7 @@ def test_the_surface_is_exact_also_at_the_side_of_its_block(at_side):
     np.testing.assert_array_equal(vertices, expected_vertices)
 
 
-def _field_of_exact_distances(solid: np.ndarray) -> np.ndarray:
+def _field_of_exact_distances(solid):
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
     smooth = gaussian_blurred((distance - np.sign(distance) * 0.5).astype(np.float32), 1.0, mode="nearest")
     magnitude = np.where((smooth < 0) != solid, 0.1, np.maximum(np.abs(smooth), 1e-3))

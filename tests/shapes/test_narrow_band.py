@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hickory_stream.shapes.sdf import lower_to_distances
 
 
-def squared_distance(point: np.ndarray, triangle: np.ndarray) -> float:
+def squared_distance(point, triangle):
     """Return the least of the squared distances to points of a triangle, by many steps along it."""
     shares = np.linspace(0, 1, 101)
     v, w = (side.ravel() for side in np.meshgrid(shares, shares))

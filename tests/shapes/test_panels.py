@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import trimesh
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
+from hickory_stream.geometry.superquadric import log_implicit_value
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.fit.panels import panels
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
@@ -11,12 +11,12 @@ CONFIG = FitConfig()
 TURN = trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, 3.0])
 
 
-def turned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def turned(mesh):
     mesh.apply_transform(TURN)
     return mesh
 
 
-def carton() -> trimesh.Trimesh:
+def carton():
     """Return an open box of five panels of 4 mm."""
     sides = {(0.4, 0.3, 0.004): [(0, 0, 0.002)]}
     sides[0.4, 0.004, 0.25] = [(0, y, 0.125) for y in (-0.148, 0.148)]
@@ -26,7 +26,7 @@ def carton() -> trimesh.Trimesh:
     )
 
 
-def bent_sheet() -> trimesh.Trimesh:
+def bent_sheet():
     """Return a third of a pipe of 1 m in diameter and length, with a wall of 1 mm."""
     angles = np.linspace(-np.pi / 3, np.pi / 3, 25)
     rings = [(r * np.cos(angles), r * np.sin(angles), z) for z in (0.0, 1.0) for r in (0.5, 0.501)]
@@ -37,7 +37,7 @@ def bent_sheet() -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, [t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))], process=False)
 
 
-def union_m3(primitives: Superquadrics) -> float:
+def union_m3(primitives):
     """Return the volume of what primitives within 1.5 m of the origin hold together, from points drawn by seed."""
     points = np.random.default_rng(0).uniform(-1.5, 1.5, (200_000, 3))
     inside = np.zeros(len(points), bool)

@@ -5,7 +5,7 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, steps_of
 from hickory_stream.geometry.mesh import is_closed, sha256_of, volume_m3
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from tests.shapes.shape_fixtures import occupancy_iou, shape_inputs, test_mesh
 
@@ -13,22 +13,20 @@ CONFIG = ShapeConfig()
 
 
 @cache
-def seen(name: str, num_views: int) -> ShapeInputs:
+def seen(name, num_views):
     return shape_inputs(test_mesh(name), num_views)
 
 
 @cache
-def made_of(reconstructor: str, name: str, num_views: int) -> Reconstruction:
+def made_of(reconstructor, name, num_views):
     return reconstructed(reconstructor, seen(name, num_views))
 
 
-def reconstructed(name: str, inputs: ShapeInputs) -> Reconstruction:
-    made = make_reconstructor(name, CONFIG).reconstruct(inputs)  # type: ignore[arg-type]
-    assert isinstance(made, Reconstruction)
-    return made
+def reconstructed(name, inputs):
+    return make_reconstructor(name, CONFIG).reconstruct(inputs)
 
 
-def vertices_world(made: Reconstruction) -> np.ndarray:
+def vertices_world(made):
     return apply(made.world_from_object, made.mesh.vertices.astype(np.float64))
 
 
@@ -109,15 +107,14 @@ def test_too_little_is_no_shape_and_says_why(reconstructor):
         crops=(), points_world=np.zeros((3, 3)), colors=np.zeros((3, 3)),
         box=gravity_aligned_box(np.zeros((3, 3)), 0.1), support_z_m=None,
     )  # fmt: skip
-    built = build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG)  # type: ignore[arg-type]
-    assert isinstance(built, NoShape)
+    built = build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG)
     assert built.reason.startswith(reconstructor)
 
 
 @pytest.mark.parametrize("reconstructor", ["fused", "single_view"])
 def test_a_build_has_all_layers_and_contains_the_object(reconstructor):
     inputs = shape_inputs(test_mesh("monitor"), 4)
-    built = build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG)  # type: ignore[arg-type]
+    built = build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG)
     assert not isinstance(built, NoShape)
     assert 1 <= len(built.seen_share) == len(built.fitted) <= len(built.inflated)
     assert ((built.seen_share >= 0) & (built.seen_share <= 1)).all()

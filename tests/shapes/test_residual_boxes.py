@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.geometry.rigid import yaw_rotation
-from hickory_stream.shapes.inflate.residual_boxes import Box, boxes_around
+from hickory_stream.shapes.inflate.residual_boxes import boxes_around
 
 
-def volume(boxes: list[Box], margin: float = 0.0) -> float:
+def volume(boxes, margin=0.0):
     return sum(float((2 * (box.half_extents + margin)).prod()) for box in boxes)
 
 
-def tiny_triangles(rng: np.random.Generator, middles: np.ndarray, size: float = 0.01) -> np.ndarray:
+def tiny_triangles(rng, middles, size=0.01):
     return np.asarray(middles[:, None] + rng.uniform(-size, size, (len(middles), 3, 3)))
 
 

@@ -12,7 +12,7 @@ CAMERA_WORLD = np.array([0.0, 0.0, 0.3])
 AHEAD = np.array([2.0, 0.4])
 
 
-def extruded(front: np.ndarray, noise_m: float = 0.0) -> np.ndarray:
+def extruded(front, noise_m=0.0):
     """Return points of a front, given across and ahead of the middle, at heights of up to 0.3 m."""
     forward = AHEAD / np.linalg.norm(AHEAD)
     across = np.array([-forward[1], forward[0]])
@@ -21,7 +21,7 @@ def extruded(front: np.ndarray, noise_m: float = 0.0) -> np.ndarray:
     return points + np.random.default_rng(3).normal(size=points.shape) * noise_m
 
 
-def arc(radius: float) -> np.ndarray:
+def arc(radius):
     angles = np.linspace(-np.pi / 2, np.pi / 2, 80)
     return radius * np.stack([np.sin(angles), -np.cos(angles)], axis=1)
 

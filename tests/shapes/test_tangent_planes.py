@@ -31,7 +31,7 @@ def test_a_quick_exponential_is_good_to_twelve_digits(x):
     assert quick_exp(x) == pytest.approx(np.exp(x), rel=1e-12)
 
 
-def row_with(e1: float, e2: float, rotation: np.ndarray) -> np.ndarray:
+def row_with(e1, e2, rotation):
     return row_of((e1, e2), np.array([12.0, 7.0, 3.0]), np.array([1.0, -2.0, 0.5]), rotation)
 
 

@@ -10,7 +10,7 @@ SEAT = Superquadrics(
 )
 
 
-def found(parts: list[trimesh.Trimesh]) -> Superquadrics:
+def found(parts):
     """Return the primitives of a seat and more parts, of which the fit found the seat, at cells of 2 cm."""
     mesh = trimesh.util.concatenate([trimesh.creation.box((0.4, 0.4, 0.1)), *parts])
     vertices, faces = np.asarray(mesh.vertices), mesh.faces.astype(np.int32)

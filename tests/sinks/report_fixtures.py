@@ -1,7 +1,5 @@
 """A synthetic run for sinks: a camera circles some boxes on a floor, rendered exactly; every box becomes an object."""
 
-from collections.abc import Iterator
-from pathlib import Path
 import cv2
 import numpy as np
 from hickory_stream.geometry.boxes import OrientedBox
@@ -45,7 +43,7 @@ _COLORS = [
 ]
 
 
-def boxes(count: int = 7) -> list[OrientedBox]:
+def boxes(count=7):
     """Return upright boxes in a loose ring on the floor z = 0."""
     rng = np.random.default_rng(5)
     found = []
@@ -58,7 +56,7 @@ def boxes(count: int = 7) -> list[OrientedBox]:
     return found
 
 
-def reports(num_frames: int, folder: Path, *, width: int = 320, merge_at: int | None = None) -> Iterator[FrameReport]:
+def reports(num_frames, folder, *, width=320, merge_at=None):
     """Yield a run; from keyframe frame `merge_at` on, object 2 is gone. The meshes are written to `folder`/shapes."""
     run = SyntheticRun(folder, width)
     for index in range(num_frames):
@@ -68,17 +66,17 @@ def reports(num_frames: int, folder: Path, *, width: int = 320, merge_at: int | 
 class SyntheticRun:
     """Keeps the objects' clouds between frames."""
 
-    def __init__(self, folder: Path, width: int) -> None:
+    def __init__(self, folder, width):
         self.boxes = boxes()
         height = width * 9 // 16
         self.camera = Camera(
             width=width, height=height, fx=0.6 * width, fy=0.6 * width, cx=(width - 1) / 2, cy=(height - 1) / 2
         )
-        self.points: dict[int, np.ndarray] = {}
-        self.best: dict[int, View] = {}
+        self.points = {}
+        self.best = {}
         self.shapes = _write_shapes(self.boxes, folder)
 
-    def report(self, index: int, num_frames: int, *, is_merged: bool) -> FrameReport:
+    def report(self, index, num_frames, *, is_merged):
         world_from_camera = _circling(2 * np.pi * index / max(num_frames, 60))
         stamp_ns = START_NS + index * PERIOD_NS
         rgb, depth_m, instances = render(self.boxes, self.camera, world_from_camera)
@@ -113,7 +111,7 @@ class SyntheticRun:
             **shared,
         )
 
-    def _observe(self, frame: Frame, instances: np.ndarray) -> list[tuple[int, Observation]]:
+    def _observe(self, frame, instances):
         points_world = apply(frame.world_from_camera, backproject(frame.depth_m, frame.camera))
         observed = []
         for i, box in enumerate(self.boxes, start=1):
@@ -130,7 +128,7 @@ class SyntheticRun:
             self._fuse(i, observation, frame)
         return observed
 
-    def _fuse(self, i: int, observation: Observation, frame: Frame) -> None:
+    def _fuse(self, i, observation, frame):
         keys = keys_of_points(observation.points_world, 0.02)
         self.points[i] = np.union1d(self.points.get(i, np.zeros(0, np.int64)), keys)
         score = float(np.log(1.5) * observation.r_area**0.3)
@@ -141,7 +139,7 @@ class SyntheticRun:
                 box_volume_m3=observation.box.volume_m3, score=score, variance=0.5, feature=None,
             )  # fmt: skip
 
-    def _snapshot(self, frame: Frame, is_merged: bool) -> MapSnapshot:
+    def _snapshot(self, frame, is_merged):
         floor = np.stack(np.meshgrid(np.arange(-2.5, 2.5, 0.05), np.arange(-2.5, 2.5, 0.05)), axis=-1).reshape(-1, 2)
         keys = np.unique(keys_of_points(np.column_stack([floor, np.full(len(floor), 0.01)]), 0.05))
         wall = np.array([(50, y, z) for y in range(-20, 20) for z in range(6, 30)])
@@ -154,7 +152,7 @@ class SyntheticRun:
             objects=tuple(self._object(i, frame) for i in sorted(self.points) if not (is_merged and i == 2)),
         )
 
-    def _object(self, i: int, frame: Frame) -> TrackedObject:
+    def _object(self, i, frame):
         points = centers_of_keys(self.points[i], 0.02)
         return TrackedObject(
             id=i, phase=Phase.TENTATIVE if i == 3 and frame.index < 8 else Phase.DORMANT if i == 5 else Phase.ACTIVE,
@@ -165,9 +163,7 @@ class SyntheticRun:
         )  # fmt: skip
 
 
-def render(
-    shown: list[OrientedBox], camera: Camera, world_from_camera: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def render(shown, camera, world_from_camera):
     """Return exact colour, depth and instances (0 = nothing, -1 = floor, i + 1 = box i) by the slab method."""
     rays = apply(
         from_rotation_translation(world_from_camera[:3, :3], np.zeros(3)),
@@ -194,7 +190,7 @@ def render(
     return rgb.astype(np.uint8), depth_m, instances
 
 
-def _circling(angle: float) -> np.ndarray:
+def _circling(angle):
     position = np.array([2.9 * np.cos(angle), 2.9 * np.sin(angle), 1.5])
     forward = np.array([0.0, 0.0, 0.3]) - position
     forward /= np.linalg.norm(forward)
@@ -203,7 +199,7 @@ def _circling(angle: float) -> np.ndarray:
     return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), position)
 
 
-def _write_shapes(shown: list[OrientedBox], folder: Path) -> dict[int, ObjectShape]:
+def _write_shapes(shown, folder):
     (folder / "shapes").mkdir(parents=True, exist_ok=True)
     shapes = {}
     for i, box in enumerate(shown, start=1):
@@ -222,7 +218,7 @@ def _write_shapes(shown: list[OrientedBox], folder: Path) -> dict[int, ObjectSha
     return shapes
 
 
-def _two_halves(box: OrientedBox, grown: float) -> Superquadrics:
+def _two_halves(box, grown):
     """Return the lower and the upper half of a box, slightly rounded."""
     poses = np.stack([box.world_from_box, box.world_from_box])
     quarter = box.half_extents_m[2] / 2

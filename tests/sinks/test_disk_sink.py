@@ -1,23 +1,22 @@
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder, create_map_folder
-from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.records import FrameReport
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from tests.engine.snapshot_fixtures import make_snapshot
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> MapFolder:
+def folder(tmp_path):
     return create_map_folder(tmp_path / "m", config={}, source={})
 
 
-def report(index: int, snapshot: MapSnapshot | None) -> FrameReport:
+def report(index, snapshot):
     return FrameReport(
         index=index, stamp_ns=index, keyframe_index=None if snapshot is None else index,
         camera=Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0), world_from_camera=np.eye(4), color_bytes=None,
@@ -25,7 +24,7 @@ def report(index: int, snapshot: MapSnapshot | None) -> FrameReport:
     )  # fmt: skip
 
 
-def saved_revision(folder: MapFolder) -> int:
+def saved_revision(folder):
     return open_map(folder.path).snapshot.revision
 
 

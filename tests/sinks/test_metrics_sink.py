@@ -1,4 +1,5 @@
 import urllib.request
+from contextlib import closing
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -13,20 +14,17 @@ REPORT = FrameReport(
 )  # fmt: skip
 
 
-def read(sink: MetricsSink) -> dict[str, float]:
+def read(sink):
     with urllib.request.urlopen(f"http://127.0.0.1:{sink.port}/metrics", timeout=10) as answer:
         lines = answer.read().decode().splitlines()
     return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines if line[0] != "#")}
 
 
 def test_the_numbers_of_the_newest_report_are_answered_as_text():
-    sink = MetricsSink(0)
-    try:
+    with closing(MetricsSink(0)) as sink:
         sink.show(REPORT)
         sink.show(replace(REPORT, metrics=(("queue/shapes", 1.0),)))
         numbers = read(sink)
-    finally:
-        sink.close()
     assert numbers["hickory_frames_total"] == 2
     assert numbers["hickory_keyframes_total"] == 0
     assert numbers['hickory_stage_seconds{stage="perceive"}'] == 0.25
@@ -40,22 +38,15 @@ def test_topics_of_a_live_route_are_answered_on_request():
         "topic": "/cam/image", "role": "color", "rate_hz": 30.0, "age_s": None, "bytes_per_s": 100, "received": 7,
         "dropped": 2, "lost": 1,
     }  # fmt: skip
-    sink = MetricsSink(0)
-    try:
+    with closing(MetricsSink(0)) as sink:
         sink.watch(lambda: [topic])
         topic["received"] = 8
         numbers = read(sink)
-    finally:
-        sink.close()
     assert numbers['hickory_live_topic{topic="/cam/image",what="rate_hz"}'] == 30
     assert numbers['hickory_live_topic{topic="/cam/image",what="received"}'] == 8
     assert not any("age_s" in name for name in numbers)
 
 
 def test_a_port_that_is_taken_is_refused():
-    sink = MetricsSink(0)
-    try:
-        with pytest.raises(InputError, match="--metrics-port"):
-            MetricsSink(sink.port)
-    finally:
-        sink.close()
+    with closing(MetricsSink(0)) as sink, pytest.raises(InputError, match="--metrics-port"):
+        MetricsSink(sink.port)

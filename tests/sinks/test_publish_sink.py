@@ -2,13 +2,12 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.records import FrameReport, MapSnapshot, ObjectKind, Phase, SpaceObservation
+from hickory_stream.records import FrameReport, ObjectKind, Phase, SpaceObservation
 from hickory_stream.sinks.publish_sink import (
     GOAL_TOPIC,
     MAP_TOPIC,
@@ -39,28 +38,28 @@ class Link:
     gate: threading.Event = field(default_factory=threading.Event)
     is_there: bool = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self.gate.set()
 
-    def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
+    def offer(self, name, type_name, *, definition, type_hash, is_latched):
         assert definition
         assert type_hash.startswith("RIHS01_")
         self.offers[name] = (type_name, is_latched)
 
-    def send(self, name: str, data: bytes) -> bool:
+    def send(self, name, data):
         self.gate.wait(10.0)
         self.sent.append((name, data))
         return self.is_there
 
-    def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
+    def listen(self, name, hear):
         self.ears[name] = hear
 
-    def last(self, name: str) -> Any:
+    def last(self, name):
         data = next(data for sent, data in reversed(self.sent) if sent == name)
         return store().deserialize_cdr(data, self.offers[name][0])
 
 
-def report(of: MapSnapshot, at: tuple[float, float] = START) -> FrameReport:
+def report(of, at=START):
     pose = np.eye(4)
     pose[:2, 3] = at
     return FrameReport(
@@ -70,12 +69,12 @@ def report(of: MapSnapshot, at: tuple[float, float] = START) -> FrameReport:
     )  # fmt: skip
 
 
-def room(**options: Any) -> MapSnapshot:
+def room(**options):
     crate = replace(tracked(2, boxes(((4.5, 1.0, 0.3), (0.3, 0.3, 0.3))), with_shape=False), phase=Phase.TENTATIVE)
     return snapshot(tracked(1, table()), crate, **options)
 
 
-def told(*snapshots: MapSnapshot, link: Link | None = None) -> Link:
+def told(*snapshots, link=None):
     """What a link has been sent once everything was."""
     link = link or Link()
     sink = PublishSink(ROBOT, link, odom_frame="odom")
@@ -143,7 +142,7 @@ def test_map_from_odom_is_the_identity_until_a_placement():
         assert found.transform.rotation.w == 1.0
 
 
-def asked(goal: bytes, of: MapSnapshot | None = None) -> tuple[Link, dict[str, int]]:
+def asked(goal, of=None):
     link = Link()
     sink = PublishSink(ROBOT, link, odom_frame="odom")
     if of is not None:
@@ -174,11 +173,6 @@ def test_a_goal_is_planned_in_the_map_of_that_moment():
     link.ears[GOAL_TOPIC](goal_message(0, np.array([4.5, 1.0])))
     sink.close()
     assert sink.counts()["goals"]["no_path"] == 1
-
-
-def test_a_goal_out_of_reach_gets_an_empty_path():
-    link, fates = asked(goal_message(0, np.array([4.5, 1.0])), room())
-    assert fates["no_path"] == 1
     assert link.last(PLAN_TOPIC).poses == []
 
 
@@ -225,7 +219,7 @@ def test_of_too_many_goals_the_last_are_answered():
 def test_a_standing_link_holds_nobody_up_and_catches_up():
     link = Link()
     link.gate.clear()
-    overtaken: list[str] = []
+    overtaken = []
     outbox = Outbox(link, overtaken.append, most_bytes=1000)
     for i in range(10):
         outbox.put("/map", bytes([i]) * 300)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot
@@ -107,7 +106,6 @@ def maps():
 
 def test_an_alignment_shows_the_maps_joined_and_apart(tmp_path, maps):
     answer = align(*maps)
-    assert isinstance(answer, Alignment)
     write_alignment(tmp_path / "join.rrd", *maps, answer)
     views = arrangement_of(tmp_path / "join.rrd")
     assert [view["ViewContents"]["ViewContents:query"] for _, view in sorted(views.items())] == [
@@ -136,7 +134,6 @@ def test_an_alignment_shows_the_maps_joined_and_apart(tmp_path, maps):
 def test_maps_that_are_not_aligned_are_side_by_side(tmp_path, maps):
     other = solid(snapshot_of(furniture(12, 60), np.eye(4), 3))
     answer = align(maps[0], other)
-    assert isinstance(answer, NoAlignment)
     write_alignment(tmp_path / "none.rrd", maps[0], other, answer)
     assert arrangement_of(tmp_path / "none.rrd").keys() == {"Not aligned", "Legend"}
     static, _ = static_of(tmp_path / "none.rrd")

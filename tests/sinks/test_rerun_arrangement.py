@@ -1,6 +1,5 @@
 """The arrangement that a recording carries: where the eyes stand, what each view shows, how the labels lie."""
 
-from pathlib import Path
 import cv2
 import numpy as np
 import pyarrow as pa
@@ -16,12 +15,12 @@ from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
 from tests.sinks.report_fixtures import reports
 
 
-def arrangement_of(path: Path) -> dict[str, dict[str, dict[str, list]]]:
+def arrangement_of(path):
     """Return by the name of a view what the last arrangement of a file says of it: entity below the view -> columns."""
     reader = RrdReader(path)
     stores = []
     for store in reader.blueprints():
-        entities: dict[str, dict[str, list]] = {}
+        entities = {}
         sent_ns = 0
         for chunk in reader.stream(store=store):
             batch = chunk.to_record_batch()

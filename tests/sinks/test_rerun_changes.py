@@ -1,13 +1,11 @@
 """What has not changed since it was shown is neither shown again nor looked at: its arrays cannot even be read here."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import numpy as np
 from rerun.components import MeshFaceRendering
 from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.voxels import keys_of_cells
-from hickory_stream.records import MapSnapshot, ObservedSpace, SpaceObservation
+from hickory_stream.records import ObservedSpace, SpaceObservation
 from hickory_stream.sinks.rerun.objects import ObjectLayers
 from hickory_stream.sinks.rerun.structure import FLOOR, WALLS, Structure
 from tests.engine.snapshot_fixtures import make_snapshot
@@ -15,11 +13,11 @@ from tests.engine.snapshot_fixtures import make_snapshot
 SECOND_NS = 1_000_000_000
 
 
-def unreadable(name: str) -> Any:
+def unreadable(name):
     raise AssertionError(f"{name} was read")
 
 
-def shown(folder: Path, snapshot: MapSnapshot) -> ObjectLayers:
+def shown(folder, snapshot):
     layers = ObjectLayers(folder=folder, max_points=100, cloud_period_ns=SECOND_NS, texture_px=0)
     assert layers.update(snapshot.objects, 0)
     return layers

@@ -1,7 +1,5 @@
 """The recording of a fleet: robots in colours of their own, apart until they are joined."""
 
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
@@ -17,7 +15,7 @@ B_FROM_WORLD = frame(70, 2, -1)
 NOWHERE = ViewerChoice(kind=ViewerKind.NONE)
 
 
-def shown(name: str, count: int, *, in_frame_of: str | None = None, poses: int = 1) -> ShownRobot:
+def shown(name, count, *, in_frame_of=None, poses=1):
     pose = np.eye(4) if name == "a" else B_FROM_WORLD
     return ShownRobot(
         name=name, stamp_ns=1_000 * count, objects=snapshot_of(ITEMS[:count], pose).objects,
@@ -27,7 +25,7 @@ def shown(name: str, count: int, *, in_frame_of: str | None = None, poses: int =
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     """Two robots that are joined in the second of two rounds, when b has lost its last object."""
     path = tmp_path_factory.mktemp("fleet") / "fleet.rrd"
     with FleetRecording(path, ["a", "b"], RerunConfig(), NOWHERE) as made:
@@ -37,8 +35,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def columns(recording: Path) -> dict[str, dict[str, list[Any]]]:
-    found: dict[str, dict[str, list[Any]]] = {}
+def columns(recording):
+    found = {}
     for chunk in RrdReader(recording).stream():
         for name, values in chunk.to_record_batch().to_pydict().items():
             found.setdefault(chunk.entity_path, {}).setdefault(name, []).extend(values)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 import numpy as np
-from hickory_stream.records import FrameReport, Submap
+from hickory_stream.records import Submap
 from hickory_stream.sinks.rerun.graph import GRAPH, GraphLines
 from tests.graph.graph_fixtures import solved_graph
 from tests.sinks.report_fixtures import KEYFRAME_EVERY, reports
@@ -11,11 +11,11 @@ from tests.sinks.test_rerun_sink import play
 RECORD = solved_graph()
 
 
-def keyframe(tmp_path) -> FrameReport:
+def keyframe(tmp_path):
     return next(report for report in reports(1, tmp_path, width=64) if report.snapshot is not None)
 
 
-def with_graph(report: FrameReport, graph=RECORD, world_from_submap=None) -> FrameReport:
+def with_graph(report, graph=RECORD, world_from_submap=None):
     if report.snapshot is None:
         return report
     first = report.snapshot.submaps[0]
@@ -27,7 +27,7 @@ def with_graph(report: FrameReport, graph=RECORD, world_from_submap=None) -> Fra
     return replace(report, snapshot=replace(report.snapshot, submaps=(moved,), graph=graph))
 
 
-def archetypes(items, path: str):
+def archetypes(items, path):
     return next(item.archetypes[0] for item in items if item.path == path)
 
 

@@ -4,7 +4,7 @@ import trimesh
 from hickory_stream.textures.atlas import atlas_of
 
 
-def coil() -> trimesh.Trimesh:
+def coil():
     """Return a ramp that winds three times over itself: seen from above, one sheet lies over the next."""
     turn = np.linspace(0, 6 * np.pi, 240)
     inner, outer = (np.stack([r * np.cos(turn), r * np.sin(turn), 0.05 * turn], axis=1) for r in (0.5, 1.0))

@@ -2,27 +2,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.raycast import image_colors
-from hickory_stream.ports import Crop
 from hickory_stream.textures.bake import TextureConfig, textured
-from hickory_stream.textures.textured_mesh import TexturedMesh, jpeg_bytes
+from hickory_stream.textures.textured_mesh import jpeg_bytes
 from tests.shapes.shape_fixtures import shape_inputs
 
 _SIZE = (0.8, 0.6, 0.5)
 _GREY = 77
 
 
-def pattern(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def pattern(points):
     """Return the true colour of places in the world: squares of 8 cm."""
     odd = np.floor((points + 0.037) / 0.08).astype(int).sum(axis=-1) % 2
     return np.where(odd[..., None] > 0, (200.0, 90.0, 60.0), (60.0, 110.0, 160.0))
 
 
-def painted_crop(crop: Crop, gain: float) -> Crop:
+def painted_crop(crop, gain):
     depth = np.where(np.isnan(crop.depth_m), np.float32(1), crop.depth_m)
     places = apply(crop.world_from_camera, backproject(depth, crop.camera).reshape(-1, 3).astype(np.float64))
     colors = pattern(places).reshape(*depth.shape, 3) * gain
@@ -31,14 +29,14 @@ def painted_crop(crop: Crop, gain: float) -> Crop:
 
 
 @pytest.fixture(scope="module")
-def crops() -> list[Crop]:
+def crops():
     """A box on the floor, seen from three sides and from above, never from below or from behind."""
     box = trimesh.creation.box(_SIZE).apply_translation([0, 0, 0.25])
     inputs = shape_inputs(box, 4, azimuths_rad=(-0.9, 1.2), noise=0.001)
     return [painted_crop(crop, 1.0) for crop in inputs.crops]
 
 
-def box_mesh(crops: list[Crop]) -> Mesh:
+def box_mesh(crops):
     box = trimesh.creation.box(_SIZE).apply_translation([0, 0, 0.25])
     for _ in range(4):
         box = box.subdivide()
@@ -53,11 +51,11 @@ def box_mesh(crops: list[Crop]) -> Mesh:
 
 
 @pytest.fixture(scope="module")
-def baked(crops: list[Crop]) -> TexturedMesh:
+def baked(crops):
     return textured(box_mesh(crops), np.eye(4), crops, TextureConfig(most_px=512))
 
 
-def colors_on(baked: TexturedMesh, side: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def colors_on(baked, side):
     """Return places on the faces that look to a side, and their colours in 0..255."""
     mesh = baked.mesh
     corners = mesh.vertices[mesh.faces].astype(np.float64)

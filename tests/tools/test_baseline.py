@@ -1,5 +1,4 @@
 import json
-from typing import Any, Literal
 import pytest
 from tools.benchmarks.__main__ import main
 from tools.benchmarks.common.baseline import FOLDER, baseline_file, check, compare, read_baseline, set_baseline
@@ -7,11 +6,11 @@ from tools.benchmarks.common.figures import Figure, print_table, write_json
 from tools.benchmarks.table import BENCHMARKS
 
 
-def figure(name: str, value: float | str, better: Literal["higher", "lower", "same"] = "higher") -> Figure:
+def figure(name, value, better="higher"):
     return Figure(name=name, value=value, unit="", better=better)
 
 
-def entry(value: float | str | None, better: str = "higher", goal: float | None = None) -> dict[str, Any]:
+def entry(value, better="higher", goal=None):
     return {"value": value, "goal": goal, "tolerance": 0.05, "better": better, "unit": ""}
 
 

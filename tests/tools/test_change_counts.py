@@ -15,7 +15,7 @@ from tools.evaluation.true_changes import TrueChanges
 CHANGE_NS = 500
 
 
-def item(object_id: int, *frames: int) -> TruthObject:
+def item(object_id, *frames):
     return TruthObject(
         id=object_id, kind="box", mesh="", world_from_object=np.eye(4), seen_fraction=0.9, frames=frames or (0, 9)
     )

@@ -3,7 +3,6 @@
 import json
 import os
 from collections import Counter
-from pathlib import Path
 from threading import Thread
 import pytest
 from players.messages.header_stamp import serialized_stamp_ns
@@ -24,7 +23,7 @@ from tools.robot.prepared import prepared
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     m = Messages(2)
     path = tmp_path_factory.mktemp("robot") / "scene.mcap"
     return write_mcap(path, m, scene_messages(m, make_scene(), png_images))

@@ -2,13 +2,14 @@
 
 import subprocess
 import tomllib
+from contextlib import contextmanager
 import numpy as np
 import pytest
 from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
 from hickory_stream.engine.shape_jobs.generators.spec import missing_of, read_spec
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.ports import Crop, GeneratedMesh, NoShape, ShapeInputs
+from hickory_stream.ports import Crop, NoShape, ShapeInputs
 from tools.generators.fakes import packages as adapter_fakes
 from tools.generators.fakes.graphs import graph_fault
 from tools.generators.fakes.packages import (
@@ -26,6 +27,19 @@ from tools.generators.fakes.packages import (
 )
 
 
+def alter(monkeypatch, change):
+    """Change the module of every adapter that is made with fakes from now on."""
+    real = adapter_fakes.faked
+
+    @contextmanager
+    def altered(name):
+        with real(name) as module:
+            change(module)
+            yield module
+
+    monkeypatch.setattr(adapter_fakes, "faked", altered)
+
+
 @pytest.mark.parametrize("name", ADAPTERS)
 def test_the_known_object_comes_out_where_and_as_it_is(name):
     assert adapter_fault(name) == ""
@@ -36,32 +50,16 @@ def test_the_known_object_comes_out_where_and_as_it_is(name):
     [("triposr", "CAMERA_FROM_MESH", 0), ("sam3d", "_OPENCV_FROM_PYTORCH3D", 1), ("sam3d", "_Z_UP_FROM_Y_UP", 2)],
 )
 def test_one_wrong_axis_is_found(name, constant, axis, monkeypatch):
-    real = adapter_fakes.faked
-
-    def altered(which: str):  # type: ignore[no-untyped-def]
-        context = real(which)
-        module = context.__enter__()
+    def turn(module):
         table = np.array(getattr(module, constant))
         table[axis] *= -1
         setattr(module, constant, table)
-        return _Entered(context, module)
 
-    monkeypatch.setattr(adapter_fakes, "faked", altered)
+    alter(monkeypatch, turn)
     assert adapter_fault(name) != ""
 
 
-class _Entered:
-    def __init__(self, context: object, module: object) -> None:
-        self._context, self._module = context, module
-
-    def __enter__(self) -> object:
-        return self._module
-
-    def __exit__(self, *error: object) -> None:
-        self._context.__exit__(*error)  # type: ignore[attr-defined]
-
-
-def _needs_of(name: str) -> None:
+def _needs_of(name):
     if name == "foundationpose_onnx":
         pytest.importorskip("embreex", reason="it has no wheel for Linux on ARM")
 
@@ -74,15 +72,10 @@ def test_a_refiner_says_where_the_known_object_lies(name):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_one_wrong_axis_of_a_refiner_is_found(axis, monkeypatch):
-    real = adapter_fakes.faked
-
-    def altered(which: str):  # type: ignore[no-untyped-def]
-        context = real(which)
-        module = context.__enter__()
+    def turn(module):
         module.CAMERA_FROM_OPENCV = np.diag([-1.0 if i == axis else 1.0 for i in range(3)])
-        return _Entered(context, module)
 
-    monkeypatch.setattr(adapter_fakes, "faked", altered)
+    alter(monkeypatch, turn)
     assert "off its place" in refiner_fault("foundationpose")
 
 
@@ -168,45 +161,34 @@ def test_its_toml_describes_a_generator_and_what_is_missing(name):
     assert any("weights" in missing for missing in missing_of(spec))
 
 
-def test_a_job_goes_through_an_adapter_and_back(tmp_path):
+def answered(folder, name, mask, depth_m, points, colors):
+    """Return what an adapter makes of a job of one view."""
     camera = Camera(width=80, height=60, fx=200.0, fy=200.0, cx=40.0, cy=30.0)
+    rgb = np.full((60, 80, 3), 40, np.uint8)
+    crop = Crop(rgb=rgb, depth_m=depth_m, mask=mask, camera=camera, world_from_camera=np.eye(4))
+    box = gravity_aligned_box(POINTS, 0.01)
+    inputs = ShapeInputs(
+        crops=(crop,), points_world=points.astype(np.float32), colors=colors, box=box, support_z_m=None
+    )
+    job = write_question(folder, inputs, 1)
+    with faked(name) as module:
+        make, _ = module.load()
+        __import__("serving").answer(folder, make)
+    return read_answer(folder, job, 1)
+
+
+def test_a_job_goes_through_an_adapter_and_back(tmp_path):
     mask = np.zeros((60, 80), bool)
     mask[25:45, 45:75] = True
-    depth = np.where(mask, np.float32(2), np.float32(np.nan))
-    rgb = np.full((60, 80, 3), 40, np.uint8)
-    crop = Crop(rgb=rgb, depth_m=depth, mask=mask, camera=camera, world_from_camera=np.eye(4))
-    inputs = ShapeInputs(
-        crops=(crop,), points_world=POINTS.astype(np.float32), colors=COLORS, box=gravity_aligned_box(POINTS, 0.01),
-        support_z_m=None,
-    )  # fmt: skip
-    job = write_question(tmp_path, inputs, 1)
-    with faked("sam3d") as module:
-        make, _ = module.load()
-        module.answer = __import__("serving").answer
-        module.answer(tmp_path, make)
-    found = read_answer(tmp_path, job, 1)
-    assert isinstance(found, GeneratedMesh)
+    found = answered(tmp_path, "sam3d", mask, np.where(mask, np.float32(2), np.float32(np.nan)), POINTS, COLORS)
     placed = found.mesh.vertices @ found.camera_from_mesh[:3, :3].T + found.camera_from_mesh[:3, 3]
     assert np.allclose(placed, POINTS, atol=1e-5)
     assert np.array_equal(found.mesh.colors, COLORS)
 
 
 def test_a_view_without_depth_is_no_shape_with_a_reason(tmp_path):
-    camera = Camera(width=80, height=60, fx=200.0, fy=200.0, cx=40.0, cy=30.0)
-    nothing = np.full((60, 80), np.nan, np.float32)
-    crop = Crop(
-        rgb=np.zeros((60, 80, 3), np.uint8), depth_m=nothing, mask=np.ones((60, 80), bool), camera=camera,
-        world_from_camera=np.eye(4),
-    )  # fmt: skip
-    inputs = ShapeInputs(
-        crops=(crop,), points_world=np.zeros((0, 3), np.float32), colors=np.zeros((0, 3), np.uint8),
-        box=gravity_aligned_box(POINTS, 0.01), support_z_m=None,
-    )  # fmt: skip
-    job = write_question(tmp_path, inputs, 1)
-    with faked("triposr") as module:
-        make, _ = module.load()
-        __import__("serving").answer(tmp_path, make)
-    found = read_answer(tmp_path, job, 1)
+    nothing, none = np.full((60, 80), np.nan, np.float32), np.zeros((0, 3), np.uint8)
+    found = answered(tmp_path, "triposr", np.ones((60, 80), bool), nothing, none, none)
     assert found == NoShape(reason="no depth within the mask")
 
 

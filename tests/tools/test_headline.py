@@ -1,6 +1,5 @@
 import subprocess
 from types import SimpleNamespace
-from typing import Any
 import pytest
 from tools.benchmarks import headline
 from tools.benchmarks.common.documents import keep
@@ -19,9 +18,9 @@ def test_a_row_is_current_with_its_options_and_code(tmp_path, options, code, *, 
 
 
 def test_a_stopped_call_continues_with_the_next_row(monkeypatch, capsys):
-    measured: list[str] = []
+    measured = []
 
-    def run(command: list[str], **_: Any) -> Any:
+    def run(command, **_):
         measured.append(" ".join(command[3:]))
         return SimpleNamespace(returncode=int("align" in command))
 

@@ -24,7 +24,7 @@ def cloud():
     return rows
 
 
-def lzf_literals(data: bytes) -> bytes:
+def lzf_literals(data):
     return b"".join(bytes([len(data[i : i + 32]) - 1]) + data[i : i + 32] for i in range(0, len(data), 32))
 
 

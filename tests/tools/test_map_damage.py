@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from tools.benchmarks.logs.small_maps import write_small_map
@@ -17,13 +16,13 @@ _NUM_CASES = 26
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sound(tmp_path_factory):
     path = tmp_path_factory.mktemp("sound") / "map"
     write_small_map(path)
     return path
 
 
-def in_a_process_of_its_own(code: str) -> Any:
+def in_a_process_of_its_own(code):
     """Run code that forks, where no thread of another test can be caught in the middle; return what it prints."""
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=290, check=False
@@ -32,7 +31,7 @@ def in_a_process_of_its_own(code: str) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def files_of(folder: Path) -> dict[str, tuple[bool, bytes]]:
+def files_of(folder):
     return {
         str(file.relative_to(folder)): (file.is_symlink(), file.read_bytes() if file.is_file() else b"")
         for file in folder.rglob("*")

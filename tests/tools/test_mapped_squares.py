@@ -5,22 +5,22 @@ import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from tools.benchmarks.alignment.covariance import WalkMap, squares_of
-from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 
 
 @cache
-def pair() -> SimulatedPair:
+def pair():
     return simulate_pair(SimulationConfig(num_objects=30, outliers=0.3), 4)
 
 
-def poses() -> np.ndarray:
+def poses():
     rng = np.random.default_rng(0)
     return np.array(
         [from_rotation_translation(yaw_rotation(rng.uniform(0, 6)), rng.uniform(-4, 4, 3)) for _ in range(20)]
     )
 
 
-def walks(off_m: float) -> tuple[WalkMap, WalkMap]:
+def walks(off_m):
     """The two maps of a pair; truth says that the second one lies `off_m` beside where it does."""
     true = poses()
     off = from_rotation_translation(np.eye(3), np.array([0.0, off_m, 0.0]))

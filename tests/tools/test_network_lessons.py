@@ -6,7 +6,7 @@ from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, TrueFrame,
 from tools.network_training.lessons import UNKNOWN, lesson_of
 
 
-def true_frame() -> TrueFrame:
+def true_frame():
     """Return a wall at 2 m with a panel half a metre before it in the left half of the image."""
     depth = np.full((HEIGHT_PX, WIDTH_PX), 2.0, np.float32)
     instances = np.zeros(depth.shape, np.int32)
@@ -22,7 +22,7 @@ def true_frame() -> TrueFrame:
     )
 
 
-def lessons(count: int = 20):
+def lessons(count=20):
     return [lesson_of(true_frame(), np.random.default_rng(seed)) for seed in range(count)]
 
 

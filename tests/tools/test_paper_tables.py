@@ -26,7 +26,7 @@ from tools.worlds.routes import clearance_of_surfaces
 
 
 @pytest.fixture(scope="module")
-def hope_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hope_root(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hope")
     config = RecordingConfig(scene="tabletop", seed=3, seconds=0.5, rate_hz=4.0, width=160, height=120)
     truth = make_recording(config, folder, "table")
@@ -93,7 +93,7 @@ def test_an_apartment_that_was_written_is_read_as_it_was(tmp_path):
     assert clear.at(np.array([[x + 30.0, y]])) == 0.0
 
 
-def _apartment(root: Path, instance: dict[str, object], config: dict[str, object]) -> None:
+def _apartment(root, instance, config):
     """Write an apartment with a floor and one brick of 0.2 x 0.4 x 0.6 m (y up), whose origin is a corner."""
     for folder in ("configs/scenes", "configs/objects", "objects", "stages"):
         (root / folder).mkdir(parents=True, exist_ok=True)
@@ -236,10 +236,10 @@ def test_the_papers_own_means_are_those_of_its_table():
 
 
 def test_a_step_is_measured_once_for_each_input(tmp_path):
-    told: list[str] = []
+    told = []
     calls = []
 
-    def measure() -> dict[str, float]:
+    def measure():
         calls.append(1)
         return {"a": 0.1 + 0.2}
 

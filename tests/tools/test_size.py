@@ -1,6 +1,5 @@
 """What `tools/check --size` counts."""
 
-from pathlib import Path
 from hickory_stream.settings import Settings
 from tools import size
 
@@ -11,7 +10,7 @@ def test_keys_are_counted_to_the_last_section():
     assert {"mapper.run.workers", "mapper.shapes.fit.max_primitives", "rerun.bind"} <= set(found)
 
 
-def test_processor_minutes_are_the_children_of_the_shell(tmp_path: Path, monkeypatch):
+def test_processor_minutes_are_the_children_of_the_shell(tmp_path, monkeypatch):
     times = tmp_path / "times"
     monkeypatch.setattr(size, "TEST_TIMES", times)
     assert size.test_minutes() is None

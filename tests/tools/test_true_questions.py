@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 import numpy as np
 from hickory_stream.evaluation.truth import load_truth
@@ -41,10 +40,10 @@ def test_a_carrier_of_unclear_colour_is_not_asked_about():
     assert carries_red([things[0], maroon])(things[0]) is None
 
 
-def thing(kind: str, bottom_m: float, color: tuple[float, float, float]) -> TrueThing:
+def thing(kind, bottom_m, color):
     bounds = np.array([[0.0, 0.0, bottom_m], [1.0, 1.0, bottom_m + 0.5]])
     return TrueThing(id=len(kind), kind=kind, color=np.array(color), bounds=bounds)
 
 
-def carries_red(things: list[TrueThing]) -> Callable[[TrueThing], bool | None]:
+def carries_red(things):
     return next(one.test for one in relations(things) if one.text == "carrying something red")

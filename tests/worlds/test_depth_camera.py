@@ -6,7 +6,7 @@ FOCAL_PX = 381.0
 ONLY_NOISE = DepthCameraConfig(dropout_share=0.0, disparity_step_px=1 / 4096)
 
 
-def plane(depth_m: float) -> tuple[np.ndarray, np.ndarray]:
+def plane(depth_m):
     return np.full((200, 300), depth_m, dtype=np.float32), np.ones((200, 300), dtype=np.float32)
 
 

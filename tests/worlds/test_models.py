@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hickory_stream.geometry.mesh import Mesh, is_closed, sha256_of, volume_m3
+from hickory_stream.geometry.mesh import is_closed, sha256_of, volume_m3
 from hickory_stream.worlds import furniture, small_things
-from hickory_stream.worlds.object_models import Part, ellipsoid, lathe, model_mesh, rounded_box, tube
+from hickory_stream.worlds.object_models import ellipsoid, lathe, model_mesh, rounded_box, tube
 from hickory_stream.worlds.room import furnished_room
 from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.textures import Texture, colors_at
+from tests.shapes.shape_fixtures import as_mesh
 
 GREY = Texture(pattern="plain", first=(0.5, 0.5, 0.5), second=(0.5, 0.5, 0.5), grain=0.0)
 MAKERS = [
@@ -15,16 +16,6 @@ MAKERS = [
     furniture.bin_, small_things.monitor, small_things.box, small_things.small_box, small_things.mug,
     small_things.bottle, small_things.bowl, small_things.book_stack, small_things.book_row,
 ]  # fmt: skip
-
-
-def as_mesh(part: Part) -> Mesh:
-    count = len(part.vertices)
-    return Mesh(
-        vertices=part.vertices.astype(np.float32),
-        faces=part.faces,
-        colors=np.zeros((count, 3), dtype=np.uint8),
-        is_seen=np.ones(count, dtype=bool),
-    )
 
 
 @pytest.mark.parametrize("maker", MAKERS)

@@ -31,7 +31,7 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def messages(recording):
     store = get_typestore(Stores.ROS2_HUMBLE)
-    by_topic: dict[str, list] = {}
+    by_topic = {}
     with (recording / "short.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
@@ -123,7 +123,7 @@ def test_sensed_depth_lies_on_the_true_objects(recording, messages):
 
 def test_frames_lists_exactly_the_images_of_an_object(recording):
     truth = load_truth(recording / "short.truth")
-    shown: dict[int, list[int]] = {item.id: [] for item in truth.objects}
+    shown = {item.id: [] for item in truth.objects}
     for frame in truth.frames:
         for i in np.unique(instances_of(truth, frame)):
             if i:

@@ -3,14 +3,13 @@ import pytest
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.worlds.room import furnished_room
 from hickory_stream.worlds.scene import part_boxes
-from hickory_stream.worlds.trajectory import NoWalk, Trajectory, WalkConfig, camera_rotation, walk_round
+from hickory_stream.worlds.trajectory import WalkConfig, camera_rotation, walk_round
 
 
 @pytest.fixture(scope="module", params=[0, 1, 2])
 def walk(request):
     world = furnished_room(request.param)
     trajectory = walk_round(world, 20.0, WalkConfig(clearance_m=0.25), np.random.default_rng(request.param))
-    assert isinstance(trajectory, Trajectory)
     return world, trajectory
 
 
@@ -46,7 +45,6 @@ def test_every_pose_is_rigid_and_looks_slightly_down(walk):
 
 def test_a_room_without_enough_clearance_has_no_walk():
     answer = walk_round(furnished_room(0), 5.0, WalkConfig(clearance_m=5.0), np.random.default_rng(0))
-    assert isinstance(answer, NoWalk)
     assert 0.0 <= answer.clearance_m < 5.0
 
 

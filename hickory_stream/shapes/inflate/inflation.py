@@ -28,14 +28,7 @@ from hickory_stream.records import Containment
 from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.fit.quadric_lm import rows_in
 from hickory_stream.shapes.fit.surface_partition import owned_pieces, owners_of
-from hickory_stream.shapes.inflate.cover import (
-    extremes,
-    least_axes,
-    local_abs,
-    undominated,
-    with_net,
-    worst_balls,
-)
+from hickory_stream.shapes.inflate.cover import extremes, least_axes, local_abs, undominated, with_net, worst_balls
 from hickory_stream.shapes.inflate.residual_boxes import boxes_around
 
 _UNIT_CELLS = 64

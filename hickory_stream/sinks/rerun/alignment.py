@@ -67,10 +67,7 @@ def _log_joined(
     _log_map(stream, "world/apart/b", map_b, lifted, ORANGE, in_b, 255)
     apart = np.concatenate([corners_a, _corners(map_b, lifted)])
     _log_pairs(stream, map_a, map_b, answer, lifted, apart)
-    return {
-        "Joined": (["/world/joined/**"], both),
-        "Pairs: map b lifted off map a": (["/world/apart/**"], apart),
-    }
+    return {"Joined": (["/world/joined/**"], both), "Pairs: map b lifted off map a": (["/world/apart/**"], apart)}
 
 
 def _log_pairs(

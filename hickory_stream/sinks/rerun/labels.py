@@ -112,11 +112,7 @@ def label_item(path: str, thread: NDArray[np.float64], text: str, color: tuple[i
 
 
 def label_items(
-    path: str,
-    boxes: Mapping[int, NDArray[np.float64]],
-    texts: Mapping[int, str],
-    colors: Mapping[int, Color],
-    eye: Eye,
+    path: str, boxes: Mapping[int, NDArray[np.float64]], texts: Mapping[int, str], colors: Mapping[int, Color], eye: Eye
 ) -> list[LogItem]:
     """Return labels above boxes, by id the (8, 3) corners of each, for a map that stays as it is."""
     tops = np.array([[*box.mean(axis=0)[:2], box[:, 2].max()] for box in boxes.values()]).reshape(-1, 3)

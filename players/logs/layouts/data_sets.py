@@ -13,12 +13,7 @@ import numpy as np
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.rigid import (
-    compose,
-    from_rotation_translation,
-    invert,
-    rotation_of_vector,
-)
+from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, rotation_of_vector
 from players.logs.layouts.folder import FolderSource, FolderView
 from players.logs.layouts.folder_text import (
     expecting,

@@ -2,10 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Any
 import pytest
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig, RunConfig
@@ -18,10 +15,10 @@ from players import SourceOptions, make_source_note, open_source
 
 
 @pytest.fixture
-def interrupted(tmp_path: Path, demo_log: Path) -> Callable[..., Path]:
+def interrupted(tmp_path, demo_log):
     """Makes the map of a playback that was killed at once, made with some configuration of its run."""
 
-    def make(note: dict[str, Any] | None = None, **run: Any) -> Path:
+    def make(note=None, **run):
         path = tmp_path / "map"
         source = open_source(demo_log)
         config = replace(MapperConfig(), run=RunConfig(**run))
@@ -40,7 +37,7 @@ def interrupted(tmp_path: Path, demo_log: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Path:
+def program(tmp_path):
     """A program that leaves a mark where it is run."""
     path = tmp_path / "python"
     path.write_text(f"#!/bin/sh\ntouch {tmp_path / 'WAS-RUN'}\n")
@@ -95,7 +92,7 @@ def test_a_map_without_names_resumes_with_those_of_this_machine(interrupted):
 @pytest.mark.parametrize("kind", ["pipe", "device", "share", "number", "nothing"])
 def test_a_log_that_is_neither_file_nor_folder_is_not_opened(interrupted, tmp_path, capsys, kind):
     os.mkfifo(tmp_path / "pipe.mcap")
-    uri: Any = {
+    uri = {
         "pipe": str(tmp_path / "pipe.mcap"),
         "device": "/dev/zero",
         "share": "//server/share/log.mcap",

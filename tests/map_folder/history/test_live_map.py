@@ -1,19 +1,16 @@
 import asyncio
 import json
 import time
-from pathlib import Path
 import numpy as np
 from hickory_stream.cli import main
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.history.live_map import is_live, live_map
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.free_space import obstacles_of
-from hickory_stream.records import MapSnapshot
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 
 
-def plan(folder: Path, snapshot: MapSnapshot) -> int:
+def plan(folder, snapshot):
     """Ask for a way to where a side of an object was seen, as JSON, once the journal, which is behind, has that."""
     while (found := live_map(folder)) is None or found[0].revision < snapshot.revision:
         time.sleep(0.02)
@@ -25,11 +22,10 @@ def plan(folder: Path, snapshot: MapSnapshot) -> int:
 
 
 def test_a_plan_in_a_growing_map_avoids_what_was_hardly_seen(tmp_path, capsys):
-    answers: list[int] = []
-    sure: list[int] = []
+    answers = []
+    sure = []
 
-    async def asked(mapper: Mapper, snapshot: MapSnapshot) -> None:
-        assert mapper.folder is not None
+    async def asked(mapper, snapshot):
         if not answers and len(snapshot.objects):
             sure.append(len(obstacles_of(snapshot)))
             answers.append(await asyncio.to_thread(plan, mapper.folder.path, snapshot))
@@ -52,7 +48,6 @@ def test_seen_surface_is_that_of_the_keyframes_until_then(tmp_path):
     run = map_scene(tmp_path, *NO_SHAPES, mode="live", rate=3.0)
     first = run.snapshots[0]
     found = live_map(run.folder.path, first.stamp_ns)
-    assert found is not None
     snapshot, seen = found
     assert snapshot.revision == first.revision
     (submap,) = snapshot.submaps

@@ -1,6 +1,5 @@
 import shutil
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.journal.format import JOURNAL
@@ -9,22 +8,21 @@ from hickory_stream.journal.step import StepKind
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.recorded import (
-    RecordedStep,
     corrected_trajectory,
     final_snapshot,
     frame_indices,
     recorded_steps,
 )
 from hickory_stream.map_folder.saved_map import open_map
-from tests.engine.run_fixtures import NUM_FRAMES, SceneRun
+from tests.engine.run_fixtures import NUM_FRAMES
 
 
 @pytest.fixture
-def path(undisturbed_run: SceneRun) -> Path:
+def path(undisturbed_run):
     return undisturbed_run.folder.path
 
 
-def rewritten(path: Path, copy: Path, num_steps: int) -> Path:
+def rewritten(path, copy, num_steps):
     """A copy of a map whose journal has only the first steps."""
     shutil.copytree(path, copy)
     with Journal(path) as journal:
@@ -35,7 +33,7 @@ def rewritten(path: Path, copy: Path, num_steps: int) -> Path:
     return copy
 
 
-def steps(path: Path) -> list[RecordedStep]:
+def steps(path):
     return list(recorded_steps(path, final_snapshot(path)))
 
 

@@ -1,7 +1,5 @@
 import json
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
 import pytest
 from hickory_stream.base.former_keys import FORMER_KEYS, fixed_keys
 from hickory_stream.config import MapperConfig
@@ -14,7 +12,7 @@ RENAMED = (
 )  # fmt: skip
 
 
-def section_of(data: dict[str, Any], path: str) -> tuple[dict[str, Any], str]:
+def section_of(data, path):
     *sections, name = path.split(".")
     for section in sections:
         data = data.setdefault(section, {})
@@ -22,7 +20,7 @@ def section_of(data: dict[str, Any], path: str) -> tuple[dict[str, Any], str]:
 
 
 @pytest.fixture
-def earlier() -> dict[str, Any]:
+def earlier():
     """The default configuration with all keys that became constants, and some keys by their former names."""
     data = json.loads(json.dumps(asdict(MapperConfig())))
     for path, value in fixed_keys().items():
@@ -35,7 +33,7 @@ def earlier() -> dict[str, Any]:
     return data
 
 
-def recorded(path: Path, config: dict[str, Any]) -> Path:
+def recorded(path, config):
     create_map_folder(path, config=config, source={}).close()
     return path
 
@@ -64,7 +62,7 @@ def test_a_damaged_configuration_is_refused(tmp_path, config):
 
 
 def test_sections_within_sections_without_end_are_refused(tmp_path):
-    deep: dict[str, Any] = {}
+    deep = {}
     for _ in range(300):
         deep = {"mapping": deep}
     path = recorded(tmp_path / "map", deep)

@@ -1,11 +1,8 @@
-import asyncio
 import json
 import shutil
-from pathlib import Path
 import pytest
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.mapper import Mapper, MapperConfig
-from hickory_stream.engine.modes import Progress
+from hickory_stream.engine.mapper import MapperConfig
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
@@ -14,39 +11,23 @@ from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.history.resume import reopen
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
-from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor
-from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
-from tests.in_process_workers import InProcessWorkers
+from hickory_stream.testing import BreakingSource
+from tests.engine.run_fixtures import NUM_FRAMES, map_scene, resume_scene, stop_at
 
 
-@pytest.fixture
-def undisturbed(undisturbed_run: SceneRun) -> SceneRun:
-    return undisturbed_run
+def resume(path, source=None):
+    return resume_scene(path, source or SceneSource(NUM_FRAMES))
 
 
-def resume(path: Path, source: SceneSource | None = None) -> str | None:
-    async def run() -> str | None:
-        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(
-            path, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
-        ) as mapper:
-            async for _ in mapper.run(source or SceneSource(NUM_FRAMES)):
-                pass
-            return mapper.folder.manifest.digest
-
-    return asyncio.run(run())
+def test_the_journal_alone_gives_the_same_map(undisturbed_run):
+    assert map_digest(replay(undisturbed_run.folder.path)) == undisturbed_run.digest
 
 
-def test_the_journal_alone_gives_the_same_map(undisturbed):
-    assert map_digest(replay(undisturbed.folder.path)) == undisturbed.digest
-
-
-def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed):
+def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed_run):
     from mcap.reader import make_reader
 
-    with (undisturbed.folder.path / JOURNAL).open("rb") as file:
+    with (undisturbed_run.folder.path / JOURNAL).open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
-    assert summary.statistics is not None
     topics = {channel.topic: number for number, channel in summary.channels.items()}
     counts = summary.statistics.channel_message_counts
     assert counts[topics["event/FrameObserved"]] == NUM_FRAMES
@@ -55,53 +36,44 @@ def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed):
 
 
 @pytest.mark.parametrize("keyframes", [1, 4, 7])
-def test_a_run_that_was_stopped_goes_on_to_the_same_map(undisturbed, tmp_path, keyframes):
-    def stop(mapper: Mapper, progress: Progress) -> None:
-        if progress.keyframes == keyframes:
-            mapper.stop()
-
+def test_a_run_that_was_stopped_goes_on_to_the_same_map(undisturbed_run, tmp_path, keyframes):
     # With patience for what runs: its shapes come ahead of their time, and must not stay.
-    stopped = map_scene(tmp_path, "run.grace_s=20.0", on_progress=stop)
+    stopped = map_scene(tmp_path, "run.grace_s=20.0", on_progress=stop_at(keyframes))
     assert not stopped.folder.manifest.finished_cleanly
-    assert resume(tmp_path / "map") == undisturbed.digest
+    assert resume(tmp_path / "map") == undisturbed_run.digest
     saved = open_map(tmp_path / "map")
     assert saved.manifest.finished_cleanly
-    assert saved.ledger == json.loads((undisturbed.folder.path / "ledger.json").read_text())
-    assert map_digest(replay(tmp_path / "map")) == undisturbed.digest
+    assert saved.ledger == json.loads((undisturbed_run.folder.path / "ledger.json").read_text())
+    assert map_digest(replay(tmp_path / "map")) == undisturbed_run.digest
     assert not (tmp_path / "map/jobs").exists()
 
 
-def test_a_run_whose_source_broke_goes_on_when_it_is_whole_again(undisturbed, tmp_path):
+def test_a_run_whose_source_broke_goes_on_when_it_is_whole_again(undisturbed_run, tmp_path):
     with pytest.raises(RecordingError, match="torn"):
         map_scene(tmp_path, source=BreakingSource(SceneSource(NUM_FRAMES), 5, RecordingError("torn")))
-    assert resume(tmp_path / "map") == undisturbed.digest
+    assert resume(tmp_path / "map") == undisturbed_run.digest
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.6, 0.97])
-def test_a_cut_journal_resumes_at_its_last_whole_step(undisturbed, tmp_path, share):
+def test_a_cut_journal_resumes_at_its_last_whole_step(undisturbed_run, tmp_path, share):
     folder = tmp_path / "map"
-    shutil.copytree(undisturbed.folder.path, folder)
+    shutil.copytree(undisturbed_run.folder.path, folder)
     journal = folder / JOURNAL
     journal.write_bytes(journal.read_bytes()[: int(share * journal.stat().st_size)])
     manifest = json.loads((folder / "manifest.json").read_text())
     (folder / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False}))
     try:
-        assert resume(folder) == undisturbed.digest
+        assert resume(folder) == undisturbed_run.digest
     except MapFolderError as error:
         # The run had ended, and what its steps of long ago waited for was cleared away: that is said, nothing is lost.
         assert "did not reach the disk" in str(error) or "lacks views" in str(error)
         assert open_map(folder).snapshot.objects
 
 
-def test_a_finished_map_a_live_map_and_another_log_are_refused(undisturbed, tmp_path):
+def test_a_finished_map_a_live_map_and_another_log_are_refused(undisturbed_run, tmp_path):
     with pytest.raises(MapFolderError, match="is finished: there is nothing to resume"):
-        resume(undisturbed.folder.path)
-
-    def stop(mapper: Mapper, progress: Progress) -> None:
-        if progress.keyframes == 2:
-            mapper.stop()
-
-    map_scene(tmp_path, on_progress=stop)
+        resume(undisturbed_run.folder.path)
+    map_scene(tmp_path, on_progress=stop_at(2))
     with pytest.raises(RecordingError, match="is not the log that"):
         resume(tmp_path / "map", SceneSource(NUM_FRAMES + 1))
     manifest = json.loads((tmp_path / "map/manifest.json").read_text())
@@ -110,26 +82,26 @@ def test_a_finished_map_a_live_map_and_another_log_are_refused(undisturbed, tmp_
         resume(tmp_path / "map")
 
 
-def test_a_run_cut_before_its_first_keyframe_starts_over(undisturbed, tmp_path):
+def test_a_run_cut_before_its_first_keyframe_starts_over(undisturbed_run, tmp_path):
     with pytest.raises(RecordingError):
         map_scene(tmp_path, source=BreakingSource(SceneSource(NUM_FRAMES), 0, RecordingError("no first frame")))
     assert (tmp_path / "map").exists()
     with Journal(tmp_path / "map") as journal:
         assert len(journal) == 0
-    assert resume(tmp_path / "map") == undisturbed.digest
+    assert resume(tmp_path / "map") == undisturbed_run.digest
 
 
 @pytest.mark.parametrize("is_over_another", [False, True])
-def test_a_run_killed_with_an_empty_folder_starts_over(undisturbed, tmp_path, *, is_over_another):
-    folder, manifest = tmp_path / "map", undisturbed.folder.manifest
+def test_a_run_killed_with_an_empty_folder_starts_over(undisturbed_run, tmp_path, *, is_over_another):
+    folder, manifest = tmp_path / "map", undisturbed_run.folder.manifest
     if is_over_another:
-        shutil.copytree(undisturbed.folder.path, folder)
+        shutil.copytree(undisturbed_run.folder.path, folder)
     made = create_map_folder(
         folder, config=manifest.config, source=manifest.source, run=manifest.run, extractor=manifest.extractor,
         overwrite=is_over_another,
     )  # fmt: skip
     made.close()
-    assert resume(folder) == undisturbed.digest
+    assert resume(folder) == undisturbed_run.digest
 
 
 def test_a_map_with_features_of_another_extractor_is_refused(tmp_path):

@@ -1,26 +1,17 @@
-import asyncio
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.history.resume import save_live, was_sought
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.writer import MapFolder
-from hickory_stream.ports import Sink, Source
-from hickory_stream.records import Frame, MapSnapshot, RawFrame, TrackedObject
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
+from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from players.playback import PlaybackClock, PlayedSource
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
-from tests.in_process_workers import InProcessWorkers
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, resume_scene
 
 # Up to the sixth frame, and from the third on again.
 BACK_AT, BACK_TO = 6, 2
@@ -29,12 +20,12 @@ BACK_AT, BACK_TO = 6, 2
 class SoughtSource(SceneSource):
     """The scene, in which somebody went back: the frames in an order, the first of each new run of them told so."""
 
-    def __init__(self, order: Sequence[int]) -> None:
+    def __init__(self, order):
         super().__init__(NUM_FRAMES)
         self._order = list(order)
         self.num_seeks = 0
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         scene, last = list(super().frames()), -1
         for index, number in enumerate(self._order):
             goes_back = number < last
@@ -44,28 +35,28 @@ class SoughtSource(SceneSource):
             last = number
 
 
-def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:
+def _renumbered(decode, index):
     return replace(decode(), index=index)
 
 
-def sought(path: Path, order: Sequence[int], *overrides: str, sink: Sink | None = None, name: str = "map") -> SceneRun:
+def sought(path, order, *overrides, sink=None, name="map"):
     from hickory_stream.sinks.disk_sink import DiskSink
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def sinks(folder):
         return [(DiskSink(folder), True), *([(sink, True)] if sink is not None else [])]
 
     every = "journal.checkpoint_keyframes=3"
     return map_scene(path, every, *overrides, source=SoughtSource(order), sinks=sinks, name=name)
 
 
-def there_and_back() -> list[int]:
+def there_and_back():
     return [*range(BACK_AT), *range(BACK_TO, NUM_FRAMES)]
 
 
-def shown_as(snapshot: MapSnapshot) -> list[tuple[object, ...]]:
+def shown_as(snapshot):
     """What a map says of its objects, whatever their numbers and those of the frames."""
 
-    def of(item: TrackedObject) -> tuple[object, ...]:
+    def of(item):
         known = (item.phase, item.sightings, item.first_seen_ns, item.last_seen_ns)
         arrays = (item.points_world.tobytes(), item.box.world_from_box.tobytes())
         best_ns = None if item.best_view is None else item.best_view.stamp_ns
@@ -75,12 +66,12 @@ def shown_as(snapshot: MapSnapshot) -> list[tuple[object, ...]]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+def undisturbed(tmp_path_factory):
     return map_scene(tmp_path_factory.mktemp("undisturbed"), *NO_SHAPES)
 
 
 @pytest.fixture(scope="module")
-def gone_back(tmp_path_factory: pytest.TempPathFactory) -> tuple[SceneRun, list[MapSnapshot]]:
+def gone_back(tmp_path_factory):
     """A run in which somebody went back, and the maps that it published."""
     sink = RememberingSink()
     run = sought(tmp_path_factory.mktemp("back"), there_and_back(), *NO_SHAPES, sink=sink)
@@ -127,7 +118,6 @@ def test_open_shapes_are_committed_again_when_due(tmp_path, undisturbed_run):
     ]
     assert map_digest(replay(run.folder.path)) == run.digest
     for item in saved.snapshot.objects:
-        assert item.shape is not None
         assert len(saved.mesh(item.shape).vertices) > 0
         assert all((saved.views / f"{view.name}.json").is_file() for view in item.views)
 
@@ -139,9 +129,9 @@ def test_such_a_run_is_not_reproducible_and_says_how_often(gone_back):
 
 
 def test_a_stopped_run_with_seeks_is_saved_and_not_resumed(tmp_path):
-    stopped: list[MapSnapshot] = []
+    stopped = []
 
-    async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def stop(mapper, snapshot):
         stopped.append(snapshot)
         if snapshot.revision == BACK_AT + 2:
             mapper.stop()
@@ -151,13 +141,8 @@ def test_a_stopped_run_with_seeks_is_saved_and_not_resumed(tmp_path):
     ).folder.path
     assert was_sought(path)
 
-    async def resume() -> None:
-        async with Mapper.resuming(path, extractor=MeanColorExtractor(), workers=InProcessWorkers()) as mapper:
-            async for _ in mapper.run(SceneSource(NUM_FRAMES)):
-                pass
-
     with pytest.raises(MapFolderError, match="somebody sought in the log"):
-        asyncio.run(resume())
+        resume_scene(path, SceneSource(NUM_FRAMES))
     assert save_live(path) == map_digest(open_map(path).snapshot)
     assert len(open_map(path).snapshot.objects) > 0
 
@@ -167,11 +152,11 @@ def test_a_source_sought_by_its_clock_keeps_the_skipped_jumps():
     jump[0, 3] = 0.5
 
     class Jumping(SceneSource):
-        def frames(self) -> Iterator[RawFrame]:
+        def frames(self):
             for raw in super().frames():
                 yield replace(raw, after_from_before=jump) if raw.index in (2, 4) else raw
 
-    shown: list[tuple[int, bool, float | None]] = []
+    shown = []
     for frame in PlayedSource(Jumping(8), clock).frames():
         x_m = None if frame.after_from_before is None else float(frame.after_from_before[0, 3])
         shown.append(((frame.stamp_ns - START_NS) // PERIOD_NS, frame.goes_back, x_m))
@@ -198,15 +183,15 @@ def test_lost_pixels_are_known_as_lost_and_others_are_kept(tmp_path):
 def test_a_person_goes_back_by_the_playback_clock(tmp_path):
     scene = SceneSource(NUM_FRAMES)
     clock = PlaybackClock()
-    asked: list[int] = []
+    asked = []
 
-    async def seek(mapper: Mapper, snapshot: MapSnapshot) -> None:
+    async def seek(mapper, snapshot):
         if snapshot.revision >= 1 and not asked:
             asked.append(snapshot.revision)
             clock.seek(0.0)
             clock.set_rate(None)
 
-    def mapped(source: Source, name: str, **watched: Any) -> SceneRun:
+    def mapped(source, name, **watched):
         segmenter = InstanceSegmenter(scene.instances)
         return map_scene(tmp_path, *NO_SHAPES, source=source, segmenter=segmenter, name=name, **watched)
 

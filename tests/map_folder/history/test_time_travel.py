@@ -2,7 +2,6 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
@@ -16,10 +15,8 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
-from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.mapping.entities.cloud import is_packed
-from hickory_stream.ports import Sink
 from hickory_stream.records import FrameReport, ObjectKind
 from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
@@ -32,30 +29,29 @@ class Watched:
     reports: list[FrameReport]
 
     @property
-    def saved(self) -> SavedMap:
+    def saved(self):
         return open_map(self.run.folder.path)
 
 
-def watch(path: Path, *overrides: str, loops: int = 1) -> Watched:
+def watch(path, *overrides, loops=1):
     from hickory_stream.sinks.disk_sink import DiskSink
 
     sink = RememberingSink()
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+    def sinks(folder):
         return [(DiskSink(folder), True), (sink, True)]
 
     return Watched(map_scene(path, *overrides, sinks=sinks, loops=loops), sink.reports)
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+def watched(tmp_path_factory):
     return watch(tmp_path_factory.mktemp("watched"), "journal.checkpoint_keyframes=3")
 
 
 def test_the_map_at_every_keyframe_is_the_published_one(watched):
     # The last keyframe has the stamp of the finished map, which the next test is about.
     for report in watched.reports[:-2]:
-        assert report.snapshot is not None
         assert map_digest(watched.saved.as_known_at(report.stamp_ns)) == map_digest(report.snapshot)
         between = watched.saved.as_known_at(report.stamp_ns + PERIOD_NS // 2)
         assert map_digest(between) == map_digest(report.snapshot)
@@ -83,9 +79,7 @@ def test_lazily_read_arrays_give_the_same_bytes(watched):
     with Journal(watched.run.folder.path) as journal:
         at_once = journal.checkpoint_before(len(journal) - 1)
         later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
-    assert at_once is not None
-    assert later is not None
-    unread = [track.cloud for track in later[1].core["tracks"].values()]  # type: ignore[attr-defined]
+    unread = [track.cloud for track in later[1].core["tracks"].values()]
     assert any(is_packed(cloud) for cloud in unread)
     # The journal is closed: what is read now is read from a file that stays open for it.
     assert encode(later[1].core) == encode(at_once[1].core)
@@ -103,7 +97,6 @@ def test_damage_to_an_array_is_reported_when_it_is_read(watched, tmp_path):
         with pytest.raises(MapFolderError, match="is damaged"):
             journal.checkpoint_before(2)
         later = journal.checkpoint_before(2, reads_later=True)
-        assert later is not None
         with pytest.raises(MapFolderError, match="is damaged"):
             encode(later[1].core)
 
@@ -187,7 +180,7 @@ def test_only_points_and_space_need_the_events(watched, monkeypatch):
     assert (known.revision, known.stamp_ns) == (replayed.revision, replayed.stamp_ns)
 
 
-def _refuse(*_: object) -> None:
+def _refuse(*_):
     raise AssertionError("nobody looked at points")
 
 
@@ -197,7 +190,6 @@ def test_a_record_that_contradicts_the_events_is_reported_on_use(watched, tmp_pa
         entries = list(journal.entries())[:5]
     writer = JournalWriter(tmp_path, flush_s=60.0)
     for entry, report in zip(entries, watched.reports, strict=False):
-        assert report.snapshot is not None
         objects = tuple(replace(tracked, sightings=99) for tracked in report.snapshot.objects)
         writer.append(entry, known=replace(report.snapshot, objects=objects))
     writer.close()
@@ -226,7 +218,6 @@ def test_the_own_clock_runs_on_through_a_jump():
 def test_of_a_looped_log_the_last_round_counts(tmp_path):
     looped = watch(tmp_path, "mapping.requests.max_failures=0", "journal.checkpoint_keyframes=3", loops=2)
     second_round = looped.reports[NUM_FRAMES + 2]
-    assert second_round.snapshot is not None
     assert map_digest(looped.saved.as_known_at(second_round.stamp_ns)) == map_digest(second_round.snapshot)
 
 

@@ -2,8 +2,8 @@ from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
 
 
-def told(kind: str, object_id: int | None, text: str = "", **more: object) -> Decision:
-    return Decision(kind=kind, object_id=object_id, text=text, **more)  # type: ignore[arg-type]
+def told(kind, object_id, text="", **more):
+    return Decision(kind=kind, object_id=object_id, text=text, **more)
 
 
 def test_a_track_is_followed_through_every_merge():

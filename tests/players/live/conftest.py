@@ -4,7 +4,7 @@ import pytest
 
 
 @pytest.fixture(autouse=True)
-def _short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+def _short_waits(monkeypatch):
     monkeypatch.setattr("players.live.opening._QUIET_S", 0.15)
     monkeypatch.setattr("players.live.opening._BETWEEN_S", 0.05)
     monkeypatch.setattr("tools.robot.command._SETTLED_S", 0.15)

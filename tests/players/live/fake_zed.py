@@ -6,11 +6,10 @@ their parameters.
 
 import enum
 from types import SimpleNamespace
-from typing import Any
 import numpy as np
-from tests.player_scenes import CAMERA, OPTICAL_FROM_FLU, SceneFrame, make_scene
+from tests.player_scenes import CAMERA, OPTICAL_FROM_FLU, make_scene
 
-PUBLISHED: dict[str, dict[str, tuple[str, ...] | None]] = {
+PUBLISHED = {
     "Camera": {
         "open": ("py_init",),
         "close": (),
@@ -51,11 +50,11 @@ PUBLISHED: dict[str, dict[str, tuple[str, ...] | None]] = {
 }
 
 
-def _enum(name: str) -> Any:
+def _enum(name):
     return enum.Enum(name, list(PUBLISHED[name]))
 
 
-def fake_sl(*, open_fails: int = 0, lost_at: tuple[int, ...] = (), corrupted_at: int = -1, num_frames: int = 6) -> Any:
+def fake_sl(*, open_fails=0, lost_at=(), corrupted_at=-1, num_frames=6):
     """Return the module: cameras of it fail to open so many times, do not track some frames, and have a torn one."""
     sl = SimpleNamespace(**{name: _enum(name) for name in PUBLISHED if name.isupper()})
     scene = make_scene(num_frames=num_frames)
@@ -66,24 +65,24 @@ def fake_sl(*, open_fails: int = 0, lost_at: tuple[int, ...] = (), corrupted_at:
         m = np.eye(4)
 
     class Timestamp:
-        def __init__(self, stamp_ns: int) -> None:
+        def __init__(self, stamp_ns):
             self._stamp_ns = stamp_ns
 
-        def get_nanoseconds(self) -> int:
+        def get_nanoseconds(self):
             return self._stamp_ns
 
     class Mat:
-        def __init__(self) -> None:
+        def __init__(self):
             self._pixels = np.zeros((0, 0))
 
-        def get_data(self, memory_type: Any = None, deep_copy: bool = False) -> Any:
+        def get_data(self, memory_type=None, deep_copy=False):
             return self._pixels
 
     class Pose:
-        def __init__(self) -> None:
+        def __init__(self):
             self._world_from_camera = np.eye(4)
 
-        def pose_data(self, pose_data: Any) -> Any:
+        def pose_data(self, pose_data):
             pose_data.m = self._world_from_camera.astype(np.float32)
             return pose_data
 
@@ -92,16 +91,16 @@ def fake_sl(*, open_fails: int = 0, lost_at: tuple[int, ...] = (), corrupted_at:
         coordinate_system = sl.COORDINATE_SYSTEM.IMAGE
         svo_real_time_mode = True
 
-        def __init__(self) -> None:
-            self._input: tuple[Any, ...] = ()
+        def __init__(self):
+            self._input = ()
 
-        def set_from_serial_number(self, serial_number: int, bus_type: Any = None) -> None:
+        def set_from_serial_number(self, serial_number, bus_type=None):
             self._input = ("serial", serial_number)
 
-        def set_from_stream(self, sender_ip: str, port: int = 30000) -> None:
+        def set_from_stream(self, sender_ip, port=30000):
             self._input = ("stream", sender_ip, port)
 
-        def set_from_svo_file(self, svo_input_filename: str) -> None:
+        def set_from_svo_file(self, svo_input_filename):
             self._input = ("svo", svo_input_filename)
 
     class PositionalTrackingParameters:
@@ -111,43 +110,43 @@ def fake_sl(*, open_fails: int = 0, lost_at: tuple[int, ...] = (), corrupted_at:
         pass
 
     class Camera:
-        def __init__(self) -> None:
+        def __init__(self):
             self._at = -1
-            self._settings: Any = None
+            self._settings = None
 
-        def open(self, py_init: Any = None) -> Any:
+        def open(self, py_init=None):
             if next(fails, None) is not None:
                 return sl.ERROR_CODE.CAMERA_NOT_DETECTED
             self._settings = py_init
             sl.opened.append(py_init)
             return sl.ERROR_CODE.SUCCESS
 
-        def close(self) -> None:
+        def close(self):
             self._settings = None
 
-        def enable_positional_tracking(self, py_tracking: Any = None) -> Any:
+        def enable_positional_tracking(self, py_tracking=None):
             assert py_tracking.enable_area_memory is False
             return sl.ERROR_CODE.SUCCESS
 
-        def grab(self, py_runtime: Any = None) -> Any:
+        def grab(self, py_runtime=None):
             if self._at + 1 >= len(scene):
                 return sl.ERROR_CODE.END_OF_SVOFILE_REACHED
             self._at += 1
             return sl.ERROR_CODE.CORRUPTED_FRAME if self._at == corrupted_at else sl.ERROR_CODE.SUCCESS
 
-        def retrieve_image(self, py_mat: Any, view: Any, mem_type: Any = None, resolution: Any = None) -> Any:
+        def retrieve_image(self, py_mat, view, mem_type=None, resolution=None):
             # Rows of the SDK are longer than their pixels.
             rows = np.zeros((CAMERA.height, CAMERA.width + 16, 4), np.uint8)
             rows[:, : CAMERA.width, :3] = self._frame.rgb[..., ::-1]
             py_mat._pixels = rows[:, : CAMERA.width]
             return sl.ERROR_CODE.SUCCESS
 
-        def retrieve_measure(self, py_mat: Any, measure: Any, mem_type: Any = None, resolution: Any = None) -> Any:
+        def retrieve_measure(self, py_mat, measure, mem_type=None, resolution=None):
             metres = 1.0 if self._settings.coordinate_units is sl.UNIT.METER else 1000.0
             py_mat._pixels = self._frame.depth_m * np.float32(metres)
             return sl.ERROR_CODE.SUCCESS
 
-        def get_position(self, py_pose: Any, reference_frame: Any) -> Any:
+        def get_position(self, py_pose, reference_frame):
             if self._at in lost_at:
                 return sl.POSITIONAL_TRACKING_STATE.UNAVAILABLE
             # The SDK's world: x right, y down, z ahead, from where the z-up world has its origin.
@@ -156,24 +155,24 @@ def fake_sl(*, open_fails: int = 0, lost_at: tuple[int, ...] = (), corrupted_at:
             py_pose._world_from_camera = turned @ self._frame.world_from_camera
             return sl.POSITIONAL_TRACKING_STATE.OK
 
-        def get_timestamp(self, time_reference: Any) -> Any:
+        def get_timestamp(self, time_reference):
             return Timestamp(self._frame.stamp_ns)
 
-        def get_frame_dropped_count(self) -> int:
+        def get_frame_dropped_count(self):
             return 3 if self._at > 2 else 0
 
-        def get_camera_information(self, resizer: Any = None) -> Any:
+        def get_camera_information(self, resizer=None):
             size = SimpleNamespace(width=CAMERA.width, height=CAMERA.height)
             lens = SimpleNamespace(fx=CAMERA.fx, fy=CAMERA.fy, cx=CAMERA.cx, cy=CAMERA.cy, image_size=size)
             calibration = SimpleNamespace(left_cam=lens)
             return SimpleNamespace(camera_configuration=SimpleNamespace(calibration_parameters=calibration))
 
         @staticmethod
-        def get_sdk_version() -> str:
+        def get_sdk_version():
             return "5.0.5"
 
         @property
-        def _frame(self) -> SceneFrame:
+        def _frame(self):
             return scene[self._at]
 
     for made in (Transform, Timestamp, Mat, Pose, InitParameters, PositionalTrackingParameters, RuntimeParameters):

@@ -1,7 +1,6 @@
 """A live route that a test writes itself: announces topics, and sends what it is told to."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from players.live.inbox import Inbox
@@ -19,13 +18,13 @@ class Packet:
     data: bytes
 
 
-def scene_packets(num_frames: int = 6) -> list[Packet]:
+def scene_packets(num_frames=6):
     """Return the small scene of the players' tests as packets in the order of time."""
     return list(_packets(num_frames))
 
 
 @cache
-def _packets(num_frames: int) -> tuple[Packet, ...]:
+def _packets(num_frames):
     m = Messages(2)
     packets = []
     for entry in scene_messages(m, make_scene(num_frames=num_frames), png_images):
@@ -52,27 +51,26 @@ class ScriptedRoute:
     asked: set[str] = field(default_factory=set)
     inbox: Inbox | None = None
 
-    def start(self, inbox: Inbox) -> None:
+    def start(self, inbox):
         self.inbox = inbox
         for topic in self.announced:
             inbox.announce(topic)
         self.send(self.at_start)
 
-    def send(self, packets: Iterable[Packet]) -> None:
-        assert self.inbox is not None
+    def send(self, packets):
         for packet in packets:
             self.inbox.announce(packet.topic)
             self.inbox.put(packet.topic.name, packet.data)
             self.sent[packet.topic.name] += 1
 
-    def end(self) -> None:
+    def end(self):
         self.inbox.close()
 
-    def subscribe(self, names: Collection[str]) -> None:
+    def subscribe(self, names):
         self.asked |= set(names)
 
-    def health(self) -> Health:
+    def health(self):
         return self.state
 
-    def stop(self) -> None:
+    def stop(self):
         self.state = Health(is_connected=False, problem="stopped")

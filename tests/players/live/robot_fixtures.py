@@ -3,27 +3,23 @@
 import contextlib
 import socket
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Thread
-from typing import Any
 from hickory_stream.records import RawFrame
 from players.live import LiveMapSource, open_live
 from tests.player_scenes import Messages, make_scene, png_images, scene_messages, write_mcap
 from tools.robot.command import Report, drive
 from tools.robot.link import Faults, Plan, plan
 from tools.robot.prepared import prepared
-from tools.robot.publishers import Publisher
 
 
-def free_port() -> int:
+def free_port():
     with contextlib.closing(socket.socket()) as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])
 
 
-def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
+def eventually(condition, timeout_s=10.0):
     """Return whether a condition comes true in time."""
     ends_s = time.monotonic() + timeout_s
     while not condition():
@@ -33,7 +29,7 @@ def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
     return True
 
 
-def scene_log(path: Path, num_frames: int = 6) -> Path:
+def scene_log(path, num_frames=6):
     m = Messages(2)
     return write_mcap(path, m, scene_messages(m, make_scene(num_frames=num_frames), png_images))
 
@@ -47,7 +43,7 @@ class Mapped:
     report: Report
     plan: Plan
 
-    def unaccounted(self) -> dict[str, int]:
+    def unaccounted(self):
         """Return by topic how many of the messages that the robot sent are in no bucket of the ledger."""
         account = self.source.account()
         assert account.as_dict()["difference"] == 0
@@ -56,17 +52,15 @@ class Mapped:
         return {name: sent[name] - totals.get(name, 0) for name in sent if sent[name] != totals.get(name, 0)}
 
 
-def mapped(
-    log: Path, publisher: Publisher, uri: str, faults: Faults | None = None, *, rate: float = 1.0, **options: Any
-) -> Mapped:
+def mapped(log, publisher, uri, faults=None, *, rate=1.0, **options):
     """Have a robot play a log to a live source, and return what came of it."""
     faults = faults or Faults()
     made = plan(prepared([log]), faults)
-    reports: list[Report] = []
+    reports = []
     robot = Thread(target=lambda: reports.append(drive(made, publisher, faults, waits=True, rate=rate)), daemon=True)
     robot.start()
     source = open_live(uri, attempt_s=0.3, patience_s=20.0, **options)
-    frames: list[RawFrame] = []
+    frames = []
     reading = Thread(target=lambda: frames.extend(source.frames()), daemon=True)
     reading.start()
     try:

@@ -2,10 +2,7 @@ import base64
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.errors import RecordingError
@@ -19,17 +16,17 @@ from tools.robot.link import Faults
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     return scene_log(tmp_path_factory.mktemp("foxglove") / "scene.mcap", num_frames=8)
 
 
 @pytest.fixture
-def address() -> str:
+def address():
     return f"127.0.0.1:{free_port()}"
 
 
 @contextmanager
-def serving(handler: Any, **options: Any) -> Iterator[str]:
+def serving(handler, **options):
     """Serve WebSockets with a handler; yield the address."""
     from websockets.sync.server import serve
 
@@ -76,7 +73,7 @@ def test_odd_definitions_of_a_channel_do_no_harm():
         },
     ]
 
-    def serve(connection: Any) -> None:
+    def serve(connection):
         connection.send("no JSON")
         connection.send(json.dumps(["no", "object"]))
         connection.send(json.dumps({"op": "advertise", "channels": channels}))
@@ -111,7 +108,7 @@ def test_who_does_not_answer_or_speaks_something_else_is_said(address):
         open_live(f"foxglove://{other}", patience_s=0.5)
     with closing(socket.create_server(("127.0.0.1", 0))) as server:
 
-        def answer() -> None:
+        def answer():
             while True:
                 try:
                     client, _ = server.accept()

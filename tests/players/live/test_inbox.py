@@ -13,7 +13,7 @@ POSE_TOPIC = next(packet.topic for packet in scene_packets() if packet.topic.nam
 class Clock:
     now_ns = 1_000_000_000_000
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now_ns
 
 
@@ -48,7 +48,7 @@ def test_a_route_that_can_wait_loses_nothing():
     inbox = Inbox(large_bytes=300)
     inbox.announce(IMAGE_TOPIC)
 
-    def send() -> None:
+    def send():
         for i in range(20):
             inbox.put(IMAGE_TOPIC.name, bytes([i]) * 100, waits=True)
         inbox.close()

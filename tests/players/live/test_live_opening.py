@@ -18,11 +18,19 @@ from tools.robot.prepared import restamped
 INFOS = "camera_info"
 
 
-def opened(route: ScriptedRoute, *, inbox: Inbox | None = None, patience_s: float = 5.0, **options):
+def opened(route, *, inbox=None, patience_s=5.0, **options):
     return open_live(route.uri, route=route, inbox=inbox, patience_s=patience_s, attempt_s=0.3, **options)
 
 
-def unaccounted(source, route: ScriptedRoute) -> dict[str, int]:
+def ended(packets):
+    """Return a route that sent packets and ended, and the source that was opened before its end."""
+    route = ScriptedRoute(at_start=packets)
+    source = opened(route)
+    route.end()
+    return route, source
+
+
+def unaccounted(source, route):
     """Return, by topic, how many of the messages that a route sent are in no bucket of the ledger."""
     entries = {entry.topic: entry for entry in source.account().topics}
     return {name: number - entries[name].total for name, number in route.sent.items() if number != entries[name].total}
@@ -31,9 +39,7 @@ def unaccounted(source, route: ScriptedRoute) -> dict[str, int]:
 def test_what_arrives_gives_the_frames_that_the_same_log_gives(tmp_path):
     m = Messages(2)
     path = write_mcap(tmp_path / "scene.mcap", m, scene_messages(m, make_scene(), png_images))
-    route = ScriptedRoute(at_start=scene_packets())
-    source = opened(route)
-    route.end()
+    route, source = ended(scene_packets())
     live, logged = list(source.frames()), list(open_source(path).frames())
     assert [frame.stamp_ns for frame in live] == [frame.stamp_ns for frame in logged]
     for a, b in zip(live, logged, strict=True):
@@ -60,7 +66,7 @@ def test_images_tell_the_roles_that_names_do_not():
     }
 
     class OnDemand(ScriptedRoute):
-        def subscribe(self, names) -> None:
+        def subscribe(self, names):
             self.send(p for p in packets if p.topic.name in set(names) - self.asked)
             super().subscribe(names)
 
@@ -77,9 +83,9 @@ def test_images_tell_the_roles_that_names_do_not():
 def test_calibration_that_comes_late_is_waited_for_by_name():
     late = [packet for packet in scene_packets() if INFOS in packet.topic.name]
     route = ScriptedRoute(at_start=[packet for packet in scene_packets() if INFOS not in packet.topic.name])
-    told: list[str] = []
+    told = []
 
-    def tell(text: str) -> None:
+    def tell(text):
         told.append(text)
         route.send(late)
 
@@ -97,9 +103,9 @@ def test_topics_are_reported_as_they_appear():
         [packet for packet in packets if word in packet.topic.name] for word in ("tf_static", "odom", "color", "depth")
     ]
     route = ScriptedRoute()
-    told: list[str] = []
+    told = []
 
-    def tell(text: str) -> None:
+    def tell(text):
         told.append(text)
         if parts:
             route.send(parts.pop(0))
@@ -132,9 +138,7 @@ def test_a_robot_restarted_at_clock_zero_is_still_mapped():
     packets = scene_packets()
     first_ns = packets[0].stamp_ns
     again = [replace(packet, data=restamped(packet.topic, packet.data, 5_000_000_000 - first_ns)) for packet in packets]
-    route = ScriptedRoute(at_start=packets + again)
-    source = opened(route)
-    route.end()
+    route, source = ended(packets + again)
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert len([stamp_ns for stamp_ns in stamps if stamp_ns > first_ns]) == 6
     assert len([stamp_ns for stamp_ns in stamps if stamp_ns < 10_000_000_000]) == 6
@@ -148,7 +152,7 @@ def test_a_clock_that_is_set_back_a_little_is_found(back_s):
     middle_ns, back_ns = packets[len(packets) // 2].stamp_ns, round(back_s * 1e9)
 
     class Timely(ScriptedRoute):
-        def send(self, packets) -> None:
+        def send(self, packets):
             for packet in packets:
                 now_ns[0] = packet.stamp_ns - time.monotonic_ns()
                 is_after = packet.stamp_ns >= middle_ns and "static" not in packet.topic.name
@@ -174,9 +178,7 @@ def test_doubled_and_reordered_messages_are_counted():
     packets = scene_packets(12)
     swapped = [packets[i ^ 1] if (i ^ 1) < len(packets) else packets[i] for i in range(len(packets))]
     doubled = [packet for i, packet in enumerate(swapped) for _ in range(1 + (i % 5 == 0))]
-    route = ScriptedRoute(at_start=doubled)
-    source = opened(route)
-    route.end()
+    route, source = ended(doubled)
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert stamps == sorted(set(stamps))
     assert len(stamps) == 12
@@ -234,7 +236,7 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch):
     source = opened(route)
     frames = source.frames()
     next(frames)
-    readers: list[PoseReader] = []
+    readers = []
     forget = PoseReader.forget_older
     monkeypatch.setattr(PoseReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
     route.send(
@@ -258,9 +260,7 @@ def test_images_that_change_size_in_mid_stream_are_counted():
             other = m.compressed(stamp_ns, OPTICAL, "png", png_bytes(np.zeros((30, 40, 3), dtype=np.uint8)))
             packet = replace(packet, data=bytes(store.serialize_cdr(other, color.type_name)))
         changed.append(packet)
-    route = ScriptedRoute(at_start=changed)
-    source = opened(route)
-    route.end()
+    route, source = ended(changed)
     frames = list(source.frames())
     fates = source.ledger()
     assert fates["frame_of_other_size"] + len(frames) == 12
@@ -269,7 +269,7 @@ def test_images_that_change_size_in_mid_stream_are_counted():
 
 
 def test_the_camera_decides_between_robots_with_equal_frames():
-    def of(robot: str, shift_m: float) -> list[Packet]:
+    def of(robot, shift_m):
         store, moved = Messages(2).store, []
         for packet in scene_packets(12):
             data = packet.data
@@ -287,9 +287,7 @@ def test_the_camera_decides_between_robots_with_equal_frames():
     theirs.append(replace(tf, topic=replace(tf.topic, name="/b3/tf_static")))
     ordered = sorted([*ours, *theirs], key=lambda packet: packet.stamp_ns)
     for packets in (ordered, [*theirs, *ours]):
-        route = ScriptedRoute(at_start=packets)
-        source = opened(route)
-        route.end()
+        route, source = ended(packets)
         frames = list(source.frames())
         assert len(frames) == 12
         assert all(abs(frame.world_from_camera[0, 3]) < 5.0 for frame in frames)

@@ -1,6 +1,5 @@
 import os
 import sys
-from pathlib import Path
 from threading import Thread
 import pytest
 from hickory_stream.errors import RecordingError
@@ -11,14 +10,14 @@ from tests.player_scenes import NUM_FRAMES, Messages, make_scene, png_images, sc
 
 
 @pytest.fixture(scope="module")
-def scene_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scene_log(tmp_path_factory):
     m = Messages(2)
     path = tmp_path_factory.mktemp("stream") / "scene.mcap"
     return write_mcap(path, m, scene_messages(m, make_scene(), png_images), chunk_size=4000)
 
 
-def write_in_thread(path: Path, data: bytes) -> Thread:
-    def write() -> None:
+def write_in_thread(path, data):
+    def write():
         with path.open("wb") as stream:
             for at in range(0, len(data), 999):
                 stream.write(data[at : at + 999])

@@ -1,6 +1,5 @@
 import shutil
 from collections import Counter
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import OutputError
@@ -14,7 +13,7 @@ from players.options import SourceOptions
 from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
 
 
-def heard(path: Path) -> list[LogMessage]:
+def heard(path):
     log = open_container(path)
     return list(log.messages([topic.name for topic in log.topics]))
 
@@ -87,6 +86,5 @@ def test_a_full_or_slow_disk_affects_the_recording_only(tmp_path):
 
 
 def _message(packet):
-    from players.logs.containers import LogMessage
 
     return LogMessage(packet.topic.name, packet.stamp_ns, packet.data)

@@ -3,7 +3,6 @@
 import socket
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from threading import Thread
 import numpy as np
 import pytest
@@ -23,12 +22,12 @@ HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     return scene_log(tmp_path_factory.mktemp("zenoh") / "scene.mcap")
 
 
 @pytest.fixture
-def address() -> str:
+def address():
     return f"127.0.0.1:{free_port()}"
 
 

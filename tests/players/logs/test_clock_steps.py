@@ -1,7 +1,6 @@
 """Steps of the clock: four topics of a robot, whose clock is set in the middle of four seconds."""
 
 import random
-from collections.abc import Callable
 from types import SimpleNamespace
 import pytest
 from players.logs.clock_steps import ClockSteps, Timed
@@ -14,10 +13,9 @@ TOPICS = {
     "tf": (33 * MS, 4 * MS),
 }
 MIDDLE = 2 * S
-Change = Callable[[str, int, int], tuple[int, int]]
 
 
-def _stream(change: Change = lambda topic, stamp, log: (stamp, log)) -> list[Timed]:
+def _stream(change=lambda topic, stamp, log: (stamp, log)):
     """Return messages in the order of arrival, each with its true stamp; `change` sees stamps that begin with 0."""
     rows = []
     for topic, (period, delay) in TOPICS.items():
@@ -29,15 +27,15 @@ def _stream(change: Change = lambda topic, stamp, log: (stamp, log)) -> list[Tim
     return [timed for _, timed in sorted(rows, key=lambda row: row[0])]
 
 
-def _set(step: int, *topics: str, with_log: bool = False) -> Change:
-    def change(topic: str, stamp: int, log: int) -> tuple[int, int]:
+def _set(step, *topics, with_log=False):
+    def change(topic, stamp, log):
         is_set = stamp >= MIDDLE and topic in (topics or TOPICS)
         return stamp + step * is_set, log + step * (is_set and with_log)
 
     return change
 
 
-def _numbered(messages: list[Timed]) -> tuple[ClockSteps, dict[tuple[str, int], int]]:
+def _numbered(messages):
     clock = ClockSteps()
     found = [((timed.topic, timed.message), number) for timed, number in clock.numbered(messages)]
     assert [key for key, _ in found] == [(timed.topic, timed.message) for timed in messages]
@@ -112,11 +110,11 @@ def test_a_second_publisher_is_not_taken_for_mixed_times():
     assert {number for _, number in found} == {0}
 
 
-def _stalled(topic: str, stamp: int, log: int) -> tuple[int, int]:
+def _stalled(topic, stamp, log):
     return stamp, max(log, 3 * S + (log - S) // 1000) if S < log < 3 * S else log
 
 
-def _jittered(spread: int) -> Change:
+def _jittered(spread):
     rng = random.Random(7)
     return lambda topic, stamp, log: (stamp, log + rng.randrange(spread))
 

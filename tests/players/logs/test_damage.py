@@ -3,13 +3,13 @@
 import pytest
 from players import open_source
 from tests import player_scenes as scenes
-from tools.benchmarks.logs.damaged_logs import Tally, run_cases
+from tools.benchmarks.logs.damaged_logs import run_cases
 
 pytestmark = pytest.mark.timeout(60)
 
 
 @pytest.fixture(scope="module")
-def tally() -> Tally:
+def tally():
     return run_cases(168, seed=2)
 
 

@@ -1,9 +1,6 @@
 import re
 import struct
-from collections.abc import Callable, Iterable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import cv2
 import numpy as np
 import pytest
@@ -18,10 +15,10 @@ M = scenes.Messages(ros=2)
 FRAMES = scenes.make_scene(num_frames=12)
 
 
-def _log(path: Path, images: Callable[[scenes.SceneFrame], Iterable[tuple[str, Any]]], names=str) -> Path:
+def _log(path, images, names=str):
     """Write a log with other images, and with the names of its calibrations changed."""
 
-    def of_frame(m: scenes.Messages, frame: scenes.SceneFrame) -> list[scenes.Message]:
+    def of_frame(m, frame):
         return [scenes.Message(topic=t, stamp_ns=frame.stamp_ns, message=message) for t, message in images(frame)]
 
     messages = scenes.scene_messages(M, FRAMES, of_frame)
@@ -30,25 +27,25 @@ def _log(path: Path, images: Callable[[scenes.SceneFrame], Iterable[tuple[str, A
     )
 
 
-def _color(frame: scenes.SceneFrame, link: str = scenes.OPTICAL) -> Any:
+def _color(frame, link=scenes.OPTICAL):
     return M.compressed(frame.stamp_ns, link, "jpeg", scenes.jpeg_bytes(frame.rgb[..., ::-1]))
 
 
-def _depth(frame: scenes.SceneFrame) -> Any:
+def _depth(frame):
     return M.image(frame.stamp_ns, scenes.OPTICAL, "16UC1", frame.depth_mm)
 
 
-def _colored_depth(frame: scenes.SceneFrame) -> Any:
+def _colored_depth(frame):
     pixels = cv2.applyColorMap((frame.depth_mm // 16).astype(np.uint8), cv2.COLORMAP_JET)
     return M.image(frame.stamp_ns, scenes.OPTICAL, "bgr8", pixels)
 
 
-def _rvl(frame: scenes.SceneFrame) -> Any:
+def _rvl(frame):
     data = struct.pack("<iffii", 0, 0.0, 0.0, *frame.depth_mm.shape[::-1]) + encode_rvl(frame.depth_mm)
     return M.compressed(frame.stamp_ns, scenes.OPTICAL, "", data)
 
 
-def _thermal(frame: scenes.SceneFrame) -> Any:
+def _thermal(frame):
     return M.image(frame.stamp_ns, "thermal", "16UC1", np.full((60, 80), 29_800, dtype=np.uint16))
 
 
@@ -77,7 +74,7 @@ def _thermal(frame: scenes.SceneFrame) -> Any:
 def test_roles_follow_from_content_and_the_camera(tmp_path, topics, color, depth):
     names = list(topics)
 
-    def named(topic: str) -> str:
+    def named(topic):
         return topic if not topic.endswith("camera_info") else topic.replace("/cam/", "/calibration/")
 
     log = _log(tmp_path, lambda frame: [(name, make(frame)) for name, make in topics.items()], named)
@@ -124,14 +121,13 @@ def test_depth_that_is_none_makes_a_log_unusable(tmp_path, make, told):
     log = _log(tmp_path, lambda frame: [("/cam/aligned_depth/image", make(frame)), ("/cam/color/image", _color(frame))])
     found = examine([log], SourceOptions())
     assert found.status == UNUSABLE
-    assert found.refusal is not None
     assert re.search(told, found.refusal), found.refusal
 
 
 def test_images_that_none_can_be_decoded_are_refused_and_torn_first_ones_not(tmp_path):
     numbers, last = iter(range(100)), [0]
 
-    def torn(frame: scenes.SceneFrame) -> Any:
+    def torn(frame):
         message = _color(frame)
         return replace(message, data=message.data[: None if next(numbers) > last[0] else 300])
 

@@ -15,7 +15,7 @@ SECOND = 1_000_000_000
 M = scenes.Messages(ros=2)
 
 
-def messages(ros: int) -> list[scenes.Message]:
+def messages(ros):
     """Return two minutes of images at 5 Hz, each after a pose, and a link that is published once between two parts."""
     m = scenes.Messages(ros=ros)
     found = [scenes.Message(topic="/tf_static", stamp_ns=36 * SECOND, message=m.tf(36 * SECOND))]
@@ -35,7 +35,7 @@ def _is_long(monkeypatch):
     monkeypatch.setattr(log_parts, "_WHOLE_MESSAGES", 100)
 
 
-def written(folder: Path, kind: str) -> Path:
+def written(folder, kind):
     if kind == "ros1":
         return scenes.write_ros1(folder / "log.bag", scenes.Messages(ros=1), messages(1))
     if kind == "sqlite3":

@@ -1,18 +1,12 @@
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.errors import CalibrationError, InputError, RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.ports import Source
 from players import SourceOptions, open_source
 from tests import player_scenes as scenes
-
-Change = Callable[[scenes.Message], scenes.Message | None]
 
 MS = 1_000_000
 M = scenes.Messages(ros=2)
@@ -21,103 +15,103 @@ LOG = scenes.scene_messages(M, TRUTH, scenes.png_images)
 RAW_LOG = scenes.scene_messages(M, TRUTH, scenes.raw_images)
 COLOR_INFO = "/cam/color/camera_info"
 DEPTH_INFO = "/cam/aligned_depth/camera_info"
+WIDE = Camera(width=1280, height=720, fx=700, fy=700, cx=640, cy=360)
 
 
-def _open(path: Path, messages: list[scenes.Message], options: SourceOptions | None = None, **settings: Any) -> Source:
+def _open(path, messages, options=None, **settings):
     log = scenes.write_mcap(path / "log.mcap", M, sorted(messages, key=lambda m: m.stamp_ns), **settings)
     return open_source(log, options)
 
 
-def _changed(topic: str, change: Change, messages: list[scenes.Message] = LOG) -> list[scenes.Message]:
+def _changed(topic, change, messages=LOG):
     """Return the log with the messages of a topic changed, or removed where the change is None."""
     out = [change(message) if message.topic == topic else message for message in messages]
     return [message for message in out if message is not None]
 
 
-def _without(*topics: str) -> list[scenes.Message]:
+def _without(*topics):
     return [message for message in LOG if message.topic not in topics]
 
 
-def _only(index: int, change: Change) -> Change:
+def _only(index, change):
     """Apply a change to one image only."""
     stamps = (TRUTH[index].stamp_ns, TRUTH[index].stamp_ns + 9 * MS)
     return lambda message: change(message) if message.stamp_ns in stamps else message
 
 
-def _with_info(topic: str, info: Any) -> list[scenes.Message]:
-    return _changed(topic, lambda message: replace(message, message=info))
+def _with_info(topic, info, messages=LOG):
+    return _changed(topic, lambda message: replace(message, message=info), messages)
 
 
-def test_a_log_without_depth_lists_topics_and_the_option(tmp_path):
-    with pytest.raises(
-        RecordingError, match=r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"
-    ):
-        _open(tmp_path, _without(scenes.PNG_DEPTH))
+def _setting(**fields):
+    """Return the change of a message that sets fields of its content."""
+    return lambda message: replace(message, message=replace(message.message, **fields))
 
 
-def test_a_log_without_colour_lists_topics_and_the_option(tmp_path):
-    with pytest.raises(RecordingError, match=r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"):
-        _open(tmp_path, _without(scenes.PNG_COLOR))
+def _delayed(delay_ns, frame):
+    """Return the change of a message that delays its header."""
+    return lambda message: _setting(header=M.header(message.stamp_ns + delay_ns, frame))(message)
 
 
-def test_a_log_without_poses_lists_its_topics(tmp_path):
-    with pytest.raises(RecordingError, match=r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"):
-        _open(tmp_path, _without("/odom", "/tf_static"), SourceOptions(odometry="topic"))
+def _in_frame(frame):
+    return lambda message: _setting(header=replace(message.message.header, frame_id=frame))(message)
 
 
-def test_a_log_without_intrinsics_names_where_they_were_sought(tmp_path):
-    with pytest.raises(CalibrationError, match=r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"):
-        _open(tmp_path, _without(COLOR_INFO, DEPTH_INFO))
+def _cut_to(size):
+    return lambda message: _setting(data=message.message.data[:size])(message)
+
+
+@pytest.mark.parametrize(
+    ("topics", "told"),
+    [
+        ((scenes.PNG_DEPTH,), r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"),
+        ((scenes.PNG_COLOR,), r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"),
+        (("/odom", "/tf_static"), r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"),
+        ((COLOR_INFO, DEPTH_INFO), r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"),
+        (("/tf_static",), r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"),
+    ],
+)
+def test_what_a_log_lacks_is_named_with_the_option(tmp_path, topics, told):
+    with pytest.raises(InputError, match=told):
+        _open(tmp_path, _without(*topics), SourceOptions(odometry="topic"))
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "told"),
+    [
+        (COLOR_INFO, _setting(k=np.zeros(9), p=np.zeros(12)), r"/cam/color/camera_info holds no intrinsics \(K = \[0"),
+        (scenes.PNG_DEPTH, _in_frame("depth_optical"), r"depth's frame depth_optical to the colour's cam_optical"),
+        (
+            "/odom",
+            lambda message: _delayed(0, "odom")(replace(message, stamp_ns=message.stamp_ns + 3_600_000 * MS)),
+            r"images from 1700000000\.123 s.*poses of /odom from 1700003600\.",
+        ),
+        (
+            scenes.PNG_DEPTH,
+            _delayed(40_000 * MS, scenes.OPTICAL),
+            r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s",
+        ),
+        (
+            scenes.PNG_DEPTH,
+            _setting(format="32FC1; compressedDepth png"),
+            r"none of the first 6 images.*inverse depth without parameters",
+        ),
+        (
+            COLOR_INFO,
+            lambda message: replace(message, message=M.camera_info(message.stamp_ns, scenes.OPTICAL, WIDE)),
+            r"for 1280x720 and 80x60 pixels; no pair",
+        ),
+    ],
+)
+def test_topics_that_do_not_fit_together_are_refused(tmp_path, topic, change, told):
+    with pytest.raises(InputError, match=told):
+        _open(tmp_path, _changed(topic, change))
 
 
 def test_depth_in_the_colour_frame_needs_no_calibration(tmp_path):
     source = _open(tmp_path, _without(DEPTH_INFO))
     assert len(list(source.frames())) == len(TRUTH)
     assert dict(source.info.streams)["depth_info"] == COLOR_INFO
-
-
-def test_a_camera_matrix_of_zeros_is_a_missing_calibration(tmp_path):
-    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, scenes.CAMERA)
-    zeros = replace(info, k=np.zeros(9), p=np.zeros(12))
-    with pytest.raises(CalibrationError, match=r"/cam/color/camera_info holds no intrinsics \(K = \[0"):
-        _open(tmp_path, _with_info(COLOR_INFO, zeros))
-
-
-def test_odometry_without_a_way_to_the_camera_names_both_frames(tmp_path):
-    with pytest.raises(
-        CalibrationError, match=r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"
-    ):
-        _open(tmp_path, _without("/tf_static"))
-
-
-def test_depth_without_a_link_to_colour_names_both_frames(tmp_path):
-    other = M.header(TRUTH[0].stamp_ns, "depth_optical")
-
-    def move(message: scenes.Message) -> scenes.Message:
-        return replace(
-            message, message=replace(message.message, header=replace(message.message.header, frame_id=other.frame_id))
-        )
-
-    with pytest.raises(CalibrationError, match=r"depth's frame depth_optical to the colour's cam_optical"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, move))
-
-
-def test_poses_that_never_overlap_are_refused_with_ranges(tmp_path):
-    def later(message: scenes.Message) -> scenes.Message:
-        stamp_ns = message.stamp_ns + 3_600_000 * MS
-        return replace(message, stamp_ns=stamp_ns, message=replace(message.message, header=M.header(stamp_ns, "odom")))
-
-    with pytest.raises(RecordingError, match=r"images from 1700000000\.123 s.*poses of /odom from 1700003600\."):
-        _open(tmp_path, _changed("/odom", later))
-
-
-def test_colour_and_depth_that_never_meet_are_refused(tmp_path):
-    def later(message: scenes.Message) -> scenes.Message:
-        header = M.header(message.stamp_ns + 40_000 * MS, scenes.OPTICAL)
-        return replace(message, message=replace(message.message, header=header))
-
-    with pytest.raises(RecordingError, match=r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, later))
 
 
 def test_a_missing_topic_is_refused_with_the_existing_ones(tmp_path):
@@ -134,28 +128,14 @@ def test_a_log_without_messages_is_told(tmp_path):
     ("topic", "encoding"), [(scenes.RAW_COLOR, "jpeg2000"), (scenes.RAW_DEPTH, "64FC1"), (scenes.RAW_DEPTH, "rgb8")]
 )
 def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path, topic, encoding):
-    def recode(message: scenes.Message) -> scenes.Message:
-        return replace(message, message=replace(message.message, encoding=encoding))
-
     with pytest.raises(RecordingError, match=rf"{topic} is encoded as '{encoding}'; .* must be one of"):
-        _open(tmp_path, _changed(topic, recode, RAW_LOG))
-
-
-def test_inverse_depth_without_parameters_is_refused(tmp_path):
-    def recode(message: scenes.Message) -> scenes.Message:
-        return replace(message, message=replace(message.message, format="32FC1; compressedDepth png"))
-
-    with pytest.raises(RecordingError, match=r"none of the first 6 images.*inverse depth without parameters"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
+        _open(tmp_path, _changed(topic, _setting(encoding=encoding), RAW_LOG))
 
 
 @pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
 @pytest.mark.parametrize("size", [0, 60])
 def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, size):
-    def tear(message: scenes.Message) -> scenes.Message:
-        return replace(message, message=replace(message.message, data=message.message.data[:size]))
-
-    source = _open(tmp_path, _changed(topic, _only(2, tear)))
+    source = _open(tmp_path, _changed(topic, _only(2, _cut_to(size))))
     frames = list(source.frames())
     assert len(frames) == len(TRUTH)
     with pytest.raises(RecordingError, match=topic):
@@ -165,29 +145,19 @@ def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, si
 
 
 def test_a_first_image_without_bytes_does_not_stop_the_log(tmp_path):
-    def empty(message: scenes.Message) -> scenes.Message:
-        return replace(message, message=replace(message.message, data=message.message.data[:0]))
-
-    assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, empty))).frames())) == len(TRUTH)
+    assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, _cut_to(0)))).frames())) == len(TRUTH)
 
 
 def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
     small = scenes.png_bytes(np.zeros((30, 40, 3), dtype=np.uint8))
 
-    def shrink(message: scenes.Message) -> scenes.Message:
+    def shrink(message):
         return replace(message, message=M.compressed(message.stamp_ns, scenes.OPTICAL, "png", small))
 
     source = _open(tmp_path, _changed(scenes.PNG_COLOR, _only(2, shrink)))
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert stamps == [frame.stamp_ns for i, frame in enumerate(TRUTH) if i != 2]
     assert source.ledger() == {"frames": len(TRUTH) - 1, "frame_of_other_size": 1}
-
-
-def test_images_that_all_contradict_calibration_are_refused(tmp_path):
-    wide = Camera(width=1280, height=720, fx=700, fy=700, cx=640, cy=360)
-    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, wide)
-    with pytest.raises(CalibrationError, match=r"for 1280x720 and 80x60 pixels; no pair"):
-        _open(tmp_path, _with_info(COLOR_INFO, info))
 
 
 def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
@@ -205,7 +175,7 @@ def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
 
 @pytest.mark.parametrize("size", [(40, 30), (160, 120)])
 def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size):
-    def resize(message: scenes.Message) -> scenes.Message:
+    def resize(message):
         i = (message.stamp_ns - scenes.START_NS) // scenes.PERIOD_NS
         depth_mm = cv2.resize(TRUTH[i].depth_mm, size, interpolation=cv2.INTER_NEAREST)
         image = M.image(message.stamp_ns, scenes.OPTICAL, "16UC1", depth_mm)
@@ -219,7 +189,7 @@ def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size
 
 
 def test_depth_without_a_single_return_is_a_frame_and_counted(tmp_path):
-    def blind(message: scenes.Message) -> scenes.Message:
+    def blind(message):
         nothing = np.full((60, 80), np.nan, dtype=np.float32)
         return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", nothing))
 
@@ -268,7 +238,7 @@ def test_a_flipped_byte_costs_the_frames_of_its_chunk_only(tmp_path):
 
 
 def test_a_pose_that_is_none_is_left_out_and_counted(tmp_path):
-    def spoil(message: scenes.Message) -> scenes.Message:
+    def spoil(message):
         pose = M.pose(np.eye(4))
         nan = replace(pose, position=replace(pose.position, x=float("nan")))
         covered = replace(message.message.pose, pose=nan)
@@ -313,10 +283,8 @@ def test_the_odometry_that_carries_the_camera_is_preferred(tmp_path):
 
 
 def test_static_transforms_repeated_on_tf_are_static(tmp_path):
-    def moved(message: scenes.Message) -> scenes.Message:
-        return replace(message, topic="/tf")
-
-    assert len(list(_open(tmp_path, _changed("/tf_static", moved)).frames())) == len(TRUTH)
+    log = _changed("/tf_static", lambda message: replace(message, topic="/tf"))
+    assert len(list(_open(tmp_path, log).frames())) == len(TRUTH)
 
 
 def test_the_chain_from_the_world_to_the_camera_is_told(tmp_path):
@@ -328,10 +296,10 @@ DEPTH_CAMERA = Camera(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.
 COLOR_FROM_DEPTH = from_rotation_translation(np.eye(3), np.array([-0.059, 0.0, 0.001]))
 
 
-def _unregistered() -> list[scenes.Message]:
+def _unregistered():
     """Return a RealSense-like log: depth with a camera, a frame and stamps of its own, raw in millimetres."""
 
-    def images(m: scenes.Messages, frame: scenes.SceneFrame) -> list[scenes.Message]:
+    def images(m, frame):
         stamp_ns = frame.stamp_ns
         rgb = scenes.cast(COLOR_CAMERA, frame.world_from_camera)[0]
         depth = scenes.cast(DEPTH_CAMERA, frame.world_from_camera @ COLOR_FROM_DEPTH)[1]
@@ -387,14 +355,13 @@ def test_a_distorted_image_is_rectified_to_a_pinhole(tmp_path):
     source_px = np.asarray(source_px, dtype=np.float32).reshape(size[1], size[0], 2)
     distorted = cv2.remap(rgb, source_px[..., 0], source_px[..., 1], cv2.INTER_LINEAR)
 
-    def swap(message: scenes.Message) -> scenes.Message:
+    def swap(message):
         data = scenes.png_bytes(np.asarray(distorted)[..., ::-1])
         return replace(message, message=M.compressed(message.stamp_ns, "color_optical", "png", data))
 
     log = _changed("/fwd/color/image_raw/compressed", _only(0, swap), _unregistered())
     info = M.camera_info(scenes.START_NS, "color_optical", COLOR_CAMERA, distortion)
-    log = _changed("/fwd/color/camera_info", lambda message: replace(message, message=info), log)
-    raw = next(_open(tmp_path, log).frames())
+    raw = next(_open(tmp_path, _with_info("/fwd/color/camera_info", info, log)).frames())
     assert raw.color_bytes is None
     middle = (slice(20, -20), slice(20, -20))
     error = np.abs(raw.decode().rgb[middle].astype(int) - rgb[middle])
@@ -409,7 +376,7 @@ def test_messages_may_be_recorded_a_little_out_of_order(tmp_path):
 
 
 def test_images_without_partners_are_counted(tmp_path):
-    log = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))  # type: ignore[arg-type,return-value]
+    log = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))
     log = [m for m in log if not (m.topic == scenes.PNG_COLOR and m.stamp_ns == TRUTH[3].stamp_ns)]
     source = _open(tmp_path, log)
     assert len(list(source.frames())) == len(TRUTH) - 2
@@ -426,7 +393,7 @@ def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
         strange = writer.register_schema("unitree_go/msg/LowState", "ros2msg", b"not ( a definition")
         channel = writer.register_channel("/lowstate", "cdr", strange)
         writer.add_message(channel, scenes.START_NS, b"\x00\x01\x02", scenes.START_NS)
-        ids: dict[str, int] = {}
+        ids = {}
         for entry in LOG:
             name = entry.message.__msgtype__
             if entry.topic not in ids:
@@ -441,32 +408,26 @@ def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
 
 
 def test_the_camera_of_the_colour_is_whose_depth_is_taken(tmp_path):
-    def elsewhere(message: scenes.Message) -> scenes.Message:
-        return replace(message, topic=message.topic.replace("/cam/", "/back/"))
-
-    both = LOG + [elsewhere(message) for message in LOG if message.topic.startswith("/cam/")]
-    streams = dict(_open(tmp_path, both, SourceOptions(color_topic=scenes.PNG_COLOR)).info.streams)
+    back = [replace(m, topic=m.topic.replace("/cam/", "/back/")) for m in LOG if m.topic.startswith("/cam/")]
+    streams = dict(_open(tmp_path, LOG + back, SourceOptions(color_topic=scenes.PNG_COLOR)).info.streams)
     assert streams["depth"] == scenes.PNG_DEPTH
 
 
 def test_a_calibration_elsewhere_is_found_by_its_frame(tmp_path):
-    def away(message: scenes.Message) -> scenes.Message:
-        return replace(message, topic="/calibration")
-
-    log = _changed(DEPTH_INFO, lambda message: None, _changed(COLOR_INFO, away))
+    log = _changed(COLOR_INFO, lambda message: replace(message, topic="/calibration"))
+    log = _changed(DEPTH_INFO, lambda message: None, log)
     assert dict(_open(tmp_path, log).info.streams)["color_info"] == "/calibration"
 
 
 def test_depth_of_half_size_is_scaled_to_the_colour_frame(tmp_path):
     half = scenes.CAMERA.scaled(0.5)
 
-    def shrink(message: scenes.Message) -> scenes.Message:
+    def shrink(message):
         depth = scenes.cast(half, scenes.pose_at(message.stamp_ns))[1].astype(np.float32)
         return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", depth))
 
     info = M.camera_info(scenes.START_NS, scenes.OPTICAL, half)
-    log = _changed(scenes.RAW_DEPTH, shrink, RAW_LOG)
-    log = _changed(DEPTH_INFO, lambda message: replace(message, message=info), log)
+    log = _with_info(DEPTH_INFO, info, _changed(scenes.RAW_DEPTH, shrink, RAW_LOG))
     for raw, truth in zip(_open(tmp_path, log).frames(), TRUTH, strict=True):
         error = np.abs(raw.decode().depth_m - truth.depth_m)
         assert np.nanmedian(error) < 0.02

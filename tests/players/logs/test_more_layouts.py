@@ -1,12 +1,10 @@
 """Replica and HOPE folders, compressed ROS 2 bags, pose files."""
 
 import json
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.ports import Source
 from players import open_source
 from players.poses.pose_file import read_pose_file
 from tests import player_scenes as scenes
@@ -16,7 +14,7 @@ M = scenes.Messages(ros=2)
 LOG = scenes.scene_messages(M, TRUTH, scenes.raw_images)
 
 
-def _assert_scene(source: Source) -> None:
+def _assert_scene(source):
     frames = [raw.decode() for raw in source.frames()]
     assert len(frames) == len(TRUTH)
     for frame, true in zip(frames, TRUTH, strict=True):
@@ -25,7 +23,7 @@ def _assert_scene(source: Source) -> None:
         np.testing.assert_allclose(frame.world_from_camera, true.world_from_camera, atol=1e-3)
 
 
-def _replica(folder: Path) -> Path:
+def _replica(folder):
     (folder / "results").mkdir(parents=True)
     camera = scenes.CAMERA
     values = {"w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
@@ -38,7 +36,7 @@ def _replica(folder: Path) -> Path:
     return folder
 
 
-def _hope(folder: Path) -> Path:
+def _hope(folder):
     folder.mkdir(parents=True)
     for i, frame in enumerate(TRUTH):
         camera_from_world = invert(frame.world_from_camera)
@@ -49,15 +47,10 @@ def _hope(folder: Path) -> Path:
     return folder
 
 
-def test_a_replica_folder_is_the_scene(tmp_path):
-    source = open_source(_replica(tmp_path / "room0"))
-    assert source.info.kind == "Replica folder"
-    _assert_scene(source)
-
-
-def test_a_hope_folder_is_the_scene(tmp_path):
-    source = open_source(_hope(tmp_path / "hope"))
-    assert source.info.kind == "HOPE folder"
+@pytest.mark.parametrize(("write", "kind"), [(_replica, "Replica folder"), (_hope, "HOPE folder")])
+def test_a_folder_of_a_data_set_is_the_scene(tmp_path, write, kind):
+    source = open_source(write(tmp_path / "log"))
+    assert source.info.kind == kind
     _assert_scene(source)
 
 
@@ -79,17 +72,7 @@ def test_a_hope_json_without_a_camera_names_the_file(tmp_path):
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
 @pytest.mark.parametrize("has_metadata", [True, False])
 def test_a_compressed_bag_is_the_scene(tmp_path, mode, has_metadata):
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
-
-    writer = Writer(tmp_path / "bag", version=9)
-    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for entry in LOG:
-            kind = entry.message.__msgtype__
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(entry.topic, kind, typestore=M.store)
-            writer.write(connections[entry.topic], entry.stamp_ns, M.store.serialize_cdr(entry.message, kind))
+    scenes.write_ros2(tmp_path / "bag", M, LOG, compression=mode)
     if not has_metadata:
         (tmp_path / "bag" / "metadata.yaml").unlink()
     _assert_scene(open_source(tmp_path / "bag"))

@@ -1,4 +1,3 @@
-from pathlib import Path
 import pytest
 import zstandard
 from mcap.writer import Writer
@@ -12,18 +11,16 @@ M = scenes.Messages(ros=2)
 LOG = scenes.scene_messages(M, scenes.make_scene(num_frames=12), scenes.png_images)
 
 
-def _write(
-    path: Path, *, pack=bytes, topic=str, type_name=str, encoding="ros2msg", definition=None, **settings
-) -> Path:
+def _write(path, *, pack=bytes, topic=str, type_name=str, encoding="ros2msg", definition=lambda _: "", **settings):
     """Write the log with messages, names and definitions changed by functions."""
     with path.open("wb") as stream:
         writer = Writer(stream, **settings)
         writer.start(profile="ros2")
-        channels: dict[str, int] = {}
+        channels = {}
         for entry in LOG:
             name = entry.message.__msgtype__
             if entry.topic not in channels:
-                text = M.store.generate_msgdef(name, ros_version=2)[0] if definition is None else definition
+                text = definition(entry) or M.store.generate_msgdef(name, ros_version=2)[0]
                 schema = writer.register_schema(type_name(name), encoding, text.encode())
                 channels[entry.topic] = writer.register_channel(topic(entry.topic), "cdr", schema)
             data = pack(bytes(M.store.serialize_cdr(entry.message, name)))
@@ -32,7 +29,7 @@ def _write(
     return path
 
 
-def _frames(path: Path) -> list[tuple[object, ...]]:
+def _frames(path):
     frames = [raw.decode() for raw in open_source(path).frames()]
     return [(f.stamp_ns, f.rgb.tobytes(), f.depth_m.tobytes(), f.world_from_camera.tobytes()) for f in frames]
 
@@ -56,7 +53,7 @@ def test_messages_packed_one_by_one_play_as_plain_ones(tmp_path, sound, settings
 def test_a_packed_message_that_is_damaged_is_counted(tmp_path, settings):
     numbers = iter(range(len(LOG)))
 
-    def pack(data: bytes) -> bytes:
+    def pack(data):
         packed = zstandard.compress(data)
         return packed[:-9] if next(numbers) in (9, 10, 11) else packed
 
@@ -65,14 +62,16 @@ def test_a_packed_message_that_is_damaged_is_counted(tmp_path, settings):
     assert (read, sum(log.flaws.lost().values())) == (len(LOG) - 3, 3)
 
 
-def _dds_type(name: str) -> str:
+def _dds_type(name):
     package, _, last = name.split("/")
     return f"{package}::msg::dds_::{last}_"
 
 
 def test_names_and_types_of_dds_are_those_of_ros(tmp_path, sound):
     idl = "module sensor_msgs { module msg { module dds_ { struct Any_ { long x; }; }; }; };"
-    log = _write(tmp_path / "log.mcap", topic="rt{}".format, type_name=_dds_type, encoding="omgidl", definition=idl)
+    log = _write(
+        tmp_path / "log.mcap", topic="rt{}".format, type_name=_dds_type, encoding="omgidl", definition=lambda _: idl
+    )
     assert _frames(log) == sound
     assert open_source(log, SourceOptions(color_topic=f"rt{scenes.PNG_COLOR}")).info.num_frames == 12
 
@@ -82,7 +81,7 @@ def test_ros_1_definitions_that_are_left_out_are_its_own(tmp_path, monkeypatch, 
     m = scenes.Messages(ros=1)
     whole = m.store.generate_msgdef
 
-    def cut(name: str, **settings: int) -> tuple[str, str]:
+    def cut(name, **settings):
         text, md5 = whole(name, **settings)
         return "".join(text.split("=" * 80)[:keep]), md5
 
@@ -97,19 +96,7 @@ def test_ros_1_definitions_that_are_left_out_are_its_own(tmp_path, monkeypatch, 
     [("/cam/color", "uint8 a\nstring b", "Invalid string length"), ("/odom", "((", "Could not parse")],
 )
 def test_the_reason_why_messages_cannot_be_read_is_said(tmp_path, name, definition, reason):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        for entry in LOG:
-            type_name = entry.message.__msgtype__
-            is_bad = entry.topic.startswith(name)
-            text = definition if is_bad else M.store.generate_msgdef(type_name, ros_version=2)[0]
-            schema = writer.register_schema(type_name, "ros2msg", text.encode())
-            channel = writer.register_channel(entry.topic, "cdr", schema)
-            data = bytes(M.store.serialize_cdr(entry.message, type_name))
-            writer.add_message(channel, entry.stamp_ns, data, entry.stamp_ns)
-        writer.finish()
+    path = _write(tmp_path / "log.mcap", definition=lambda m: definition if m.topic.startswith(name) else "")
     with pytest.raises(InputError, match=rf"messages.*cannot be read.*{reason}"):
         open_source(path)
 

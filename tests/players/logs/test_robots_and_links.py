@@ -1,16 +1,12 @@
 """Several robots in one log, and links of TF with faults: each with the poses that are right, and the report."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import examine
-from players.logs.log_source import LogSource
 from tests import player_scenes as scenes
 
 MS, S = 1_000_000, 1_000_000_000
@@ -20,31 +16,30 @@ BY_TF = scenes.scene_messages(M, TRUTH, scenes.png_images, with_odometry=False)
 BY_ODOMETRY = scenes.scene_messages(M, TRUTH, scenes.png_images)
 POSED = ("/tf", "/tf_static", "/odom")
 MIDDLE = TRUTH[12].stamp_ns
-Log = list[scenes.Message]
 
 
-def _source(path: Path, messages: Log, **options: Any) -> LogSource:
-    return open_source(scenes.write_mcap(path / "log.mcap", M, messages), SourceOptions(**options))  # type: ignore[return-value]
+def _source(path, messages, **options):
+    return open_source(scenes.write_mcap(path / "log.mcap", M, messages), SourceOptions(**options))
 
 
-def _errors(source: LogSource) -> list[float]:
+def _errors(source):
     frames = list(source.frames())
     true = {frame.stamp_ns: frame.world_from_camera for frame in TRUTH}
     return [float(np.abs(frame.world_from_camera - true[frame.stamp_ns]).max()) for frame in frames]
 
 
-def _is_right(source: LogSource, number: int = len(TRUTH)) -> bool:
+def _is_right(source, number=25):
     errors = _errors(source)
     return len(errors) == number and max(errors) < 2e-3
 
 
-def _drives(stamp_ns: int) -> np.ndarray:
+def _drives(stamp_ns):
     """Return odom_from_base of another robot, which drives a circle elsewhere."""
     angle = 0.5 * (stamp_ns - scenes.START_NS) / 1e9
     return from_rotation_translation(yaw_rotation(angle), np.array([4 + np.sin(angle), np.cos(angle), 0.5]))
 
 
-def _of_robots(log: Log, own: str, other: str, camera: str, late_ns: int = MS) -> Log:
+def _of_robots(log, own, other, camera, late_ns=MS):
     """Return the log of two robots with equal frames; the camera's images are under `camera`."""
     messages = []
     for m in log:
@@ -100,11 +95,11 @@ def test_the_only_tf_is_used_wherever_it_is(tmp_path):
     assert _is_right(_source(tmp_path, messages))
 
 
-def _link(parent: str, child: str, at: np.ndarray, stamp_ns: int = scenes.START_NS, topic: str = "/tf_static") -> Any:
+def _link(parent, child, at, stamp_ns=scenes.START_NS, topic="/tf_static"):
     return scenes.Message(topic=topic, stamp_ns=stamp_ns, message=M.tf(stamp_ns, (parent, child, at)))
 
 
-def _with(log: Log, *more: scenes.Message) -> Log:
+def _with(log, *more):
     return sorted([*log, *more], key=lambda m: m.stamp_ns)
 
 
@@ -131,7 +126,7 @@ def test_a_static_link_published_again_is_used_from_then_on(tmp_path, log, i, pa
 
 
 def test_a_link_of_depth_published_again_is_used_from_then_on(tmp_path):
-    def link(x: float, stamp_ns: int) -> scenes.Message:
+    def link(x, stamp_ns):
         return _link(scenes.OPTICAL, "depth", from_rotation_translation(np.eye(3), np.array([x, 0, 0])), stamp_ns)
 
     log = [
@@ -157,17 +152,17 @@ def test_a_static_link_that_is_repeated_is_no_fault(tmp_path):
     assert source.findings() == {}
 
 
-def _scaled(factor: float) -> Callable[[Any], Any]:
-    def scaled(rotation: Any) -> Any:
+def _scaled(factor):
+    def scaled(rotation):
         return replace(rotation, **{axis: factor * getattr(rotation, axis) for axis in "xyzw"})
 
     return scaled
 
 
-def _changed(log: Log, topic: str, change: Callable[[Any], Any]) -> Log:
+def _changed(log, topic, change):
     """Return the log with the first transform of each message of a topic turned by `change`."""
 
-    def changed(message: Any) -> Any:
+    def changed(message):
         first, *rest = message.transforms
         rotation = change(first.transform.rotation)
         return replace(
@@ -242,8 +237,8 @@ def test_two_publishers_of_one_link_are_reported(tmp_path):
     assert text in examine([tmp_path / "log.mcap"], SourceOptions()).problems
 
 
-def _sim_time(log: Log, topics: tuple[str, ...], start_ns: int) -> Log:
-    def moved(m: scenes.Message) -> scenes.Message:
+def _sim_time(log, topics, start_ns):
+    def moved(m):
         stamp_ns = m.stamp_ns - scenes.START_NS + start_ns
         body = scenes.pose_at(m.stamp_ns) @ invert(scenes.BODY_FROM_CAMERA)
         if m.topic == "/tf":

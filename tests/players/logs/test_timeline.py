@@ -1,17 +1,20 @@
 from hypothesis import given
 from hypothesis import strategies as st
-from players.logs.timeline import BACKWARDS_NS, FORWARD_NS, Order, Placed, Timeline
+from players.logs.timeline import BACKWARDS_NS, FORWARD_NS, Order, Timeline
 
 S = 1_000_000_000
 
 
-def _placed(stamps_s: list[float]) -> list[Placed]:
+def _placed_ns(stamps_ns):
     timeline = Timeline()
-    placed = [p for i, s in enumerate(stamps_s) for p in timeline.add(round(s * S), i)]
-    return placed + timeline.end()
+    return [p for i, s in enumerate(stamps_ns) for p in timeline.add(s, i)] + timeline.end()
 
 
-def _orders(stamps_s: list[float]) -> dict[int, Order]:
+def _placed(stamps_s):
+    return _placed_ns(round(s * S) for s in stamps_s)
+
+
+def _orders(stamps_s):
     return {p.item: p.order for p in _placed(stamps_s)}
 
 
@@ -53,13 +56,9 @@ def test_a_stream_slower_than_a_jump_is_played():
 
 @given(st.lists(st.integers(0, 5 * FORWARD_NS), max_size=40))
 def test_every_message_is_placed_exactly_once(stamps_ns):
-    timeline = Timeline()
-    placed = [p for i, s in enumerate(stamps_ns) for p in timeline.add(s, i)] + timeline.end()
-    assert sorted(p.item for p in placed) == list(range(len(stamps_ns)))
+    assert sorted(p.item for p in _placed_ns(stamps_ns)) == list(range(len(stamps_ns)))
 
 
 @given(st.lists(st.integers(0, BACKWARDS_NS // 2), min_size=1, max_size=40, unique=True))
 def test_disorder_within_half_a_second_is_never_a_jump(stamps_ns):
-    timeline = Timeline()
-    placed = [p for i, s in enumerate(stamps_ns) for p in timeline.add(s, i)] + timeline.end()
-    assert all(p.order in (Order.IN_ORDER, Order.LATE) and p.epoch == 0 for p in placed)
+    assert all(p.order in (Order.IN_ORDER, Order.LATE) and p.epoch == 0 for p in _placed_ns(stamps_ns))

@@ -2,8 +2,6 @@ import base64
 import json
 import sys
 from fractions import Fraction
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from mcap.writer import Writer
@@ -29,7 +27,7 @@ M.store.register(
 )
 
 
-def _coded(images: list[np.ndarray], codec: str, pixels: str, **options: str) -> list[bytes]:
+def _coded(images, codec, pixels, **options):
     """Return the packets of images, in the order in which the encoder gives them, each with the number of its image."""
     av = pytest.importorskip("av")
     encoder = av.CodecContext.create(codec, "w")
@@ -62,27 +60,27 @@ CODED = {
 }
 
 
-def _stamp(stamp_ns: int) -> Any:
+def _stamp(stamp_ns):
     return M.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
 
 
-def _compressed_image(stamp_ns: int, data: bytes, codec: str) -> Any:
+def _compressed_image(stamp_ns, data, codec):
     return M.compressed(stamp_ns, scenes.OPTICAL, codec, data)
 
 
-def _compressed_video(stamp_ns: int, data: bytes, codec: str) -> Any:
+def _compressed_video(stamp_ns, data, codec):
     pixels = np.frombuffer(data, dtype=np.uint8)
     return M.make(VIDEO, timestamp=_stamp(stamp_ns), frame_id=scenes.OPTICAL, data=pixels, format=codec)
 
 
-def _packet(stamp_ns: int, data: bytes, codec: str) -> Any:
+def _packet(stamp_ns, data, codec):
     return M.make(
         FFMPEG, header=M.header(stamp_ns, scenes.OPTICAL), width=80, height=60, encoding=f"{codec};yuv420p;rgb8", pts=0,
         flags=0, is_bigendian=False, data=np.frombuffer(data, dtype=np.uint8),
     )  # fmt: skip
 
 
-def _log(path: Path, make: Any, packets: list[tuple[int, bytes]], codec: str, topic: str = scenes.RAW_COLOR) -> Path:
+def _log(path, make, packets, codec, topic=scenes.RAW_COLOR):
     """Write the log with video in place of the images of a topic; a message has the stamp of its picture."""
     log = [m for m in scenes.scene_messages(M, FRAMES, scenes.raw_images) if m.topic != topic]
     for order, (number, data) in enumerate(packets):
@@ -91,7 +89,7 @@ def _log(path: Path, make: Any, packets: list[tuple[int, bytes]], codec: str, to
     return scenes.write_mcap(path / "log.mcap", M, sorted(log, key=lambda message: message.stamp_ns))
 
 
-def _error(log: Path) -> list[float]:
+def _error(log):
     frames = [raw.decode() for raw in open_source(log).frames()]
     truth = {frame.stamp_ns: frame for frame in FRAMES}
     return [float(np.abs(f.rgb.astype(int) - truth[f.stamp_ns].rgb).mean()) for f in frames]

@@ -10,17 +10,14 @@ K = np.array([[100.0, 0.0, 80.0], [0.0, 100.0, 60.0], [0.0, 0.0, 1.0]])
 P = np.array([[90.0, 0.0, 81.0, 0.0], [0.0, 91.0, 61.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
 
-def _info(distortion: tuple[float, ...], model: str = "plumb_bob", size: tuple[int, int] = (160, 120)) -> CameraInfo:
+def _info(distortion, model="plumb_bob", size=(160, 120)):
     return CameraInfo(frame="camera", size=size, K=K, P=P, D=np.array(distortion), distortion_model=model)
 
 
-def test_a_rectified_image_is_described_by_p_and_left_as_it_is():
+def test_a_raw_image_is_described_by_k_a_rectified_one_by_p():
     lens = lens_of(_info((-0.2, 0, 0, 0, 0)), topic="/info", image_size=None, is_rectified=True)
     assert (lens.camera.fx, lens.camera.fy, lens.camera.cx, lens.camera.cy) == (90, 91, 81, 61)
     assert not lens.is_distorted
-
-
-def test_a_raw_image_is_described_by_k_and_rectified():
     lens = lens_of(_info((-0.2, 0, 0, 0, 0)), topic="/info", image_size=None, is_rectified=False)
     assert (lens.camera.fx, lens.camera.cx) == (100, 80)
     assert lens.is_distorted
@@ -61,12 +58,9 @@ def test_a_point_lands_where_the_pinhole_camera_sees_it(model, d, opencv_d):
     assert abs(rows.mean() - (100 * -0.25 + 60)) < 1.0
 
 
-def test_a_size_that_is_unset_is_taken_from_the_image():
+def test_a_size_that_is_unset_is_the_images_or_refused():
     lens = lens_of(_info((), size=(0, 0)), topic="/info", image_size=(150, 110), is_rectified=False)
     assert (lens.camera.width, lens.camera.height) == (150, 110)
-
-
-def test_a_size_that_nobody_knows_is_refused():
     with pytest.raises(CalibrationError, match="/info has no image size"):
         lens_of(_info((), size=(0, 0)), topic="/info", image_size=None, is_rectified=False)
 
@@ -85,7 +79,7 @@ def test_coefficients_that_no_model_takes_are_refused_by_name(model, d):
         lens_of(_info(d, model), topic="/info", image_size=None, is_rectified=False)
 
 
-def _pinhole(info: CameraInfo, image_size: tuple[int, int], *, is_rectified: bool = False) -> tuple[float, ...]:
+def _pinhole(info, image_size, *, is_rectified=False):
     camera = lens_of(info, topic="/info", image_size=image_size, is_rectified=is_rectified).camera
     return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 

@@ -14,21 +14,14 @@ from players.messages.image_decoding import (
     png_part,
     raw_pixels,
 )
+from tests import player_scenes as scenes
 
 RED = np.zeros((4, 6, 3), dtype=np.uint8)
 RED[..., 0] = 200
 WAVES = (128 + 100 * np.sin(np.arange(40 * 60 * 3) / 50)).astype(np.uint8).reshape(40, 60, 3)
 
 
-def _png(image: np.ndarray) -> bytes:
-    return bytes(cv2.imencode(".png", image)[1])
-
-
-def _jpeg(image: np.ndarray) -> bytes:
-    return bytes(cv2.imencode(".jpg", image)[1])
-
-
-def _message(encoding: str, pixels: np.ndarray, padding: int = 0, is_big: bool = False) -> SimpleNamespace:
+def _message(encoding, pixels, padding=0, is_big=False):
     wire = pixels.astype(pixels.dtype.newbyteorder(">" if is_big else "<"))
     rows = np.pad(wire.view(np.uint8).reshape(len(pixels), -1), ((0, 0), (0, padding)), constant_values=7)
     height, width = pixels.shape[:2]
@@ -95,18 +88,18 @@ def test_too_few_raw_pixels_are_refused_with_the_numbers(size):
 
 
 def test_png_colour_is_exact_and_jpeg_is_near():
-    np.testing.assert_array_equal(decode_color(_png(WAVES[..., ::-1]), "image"), WAVES)
-    near = decode_color(_jpeg(WAVES[..., ::-1]), "image").astype(int) - WAVES
+    np.testing.assert_array_equal(decode_color(scenes.png_bytes(WAVES[..., ::-1]), "image"), WAVES)
+    near = decode_color(scenes.jpeg_bytes(WAVES[..., ::-1]), "image").astype(int) - WAVES
     assert np.abs(near).mean() < 12
 
 
 def test_zeros_behind_a_jpeg_do_no_harm():
-    assert decode_color(_jpeg(WAVES) + bytes(1000), "image").shape == WAVES.shape
+    assert decode_color(scenes.jpeg_bytes(WAVES) + bytes(1000), "image").shape == WAVES.shape
 
 
 @given(st.floats(0.0, 0.99), st.booleans())
 def test_a_torn_image_is_refused_wherever_it_was_cut(share, is_png):
-    data = _png(WAVES) if is_png else _jpeg(WAVES)
+    data = scenes.png_bytes(WAVES) if is_png else scenes.jpeg_bytes(WAVES)
     with pytest.raises(RecordingError, match=r"image (is|cannot)"):
         decode_color(data[: int(len(data) * share)], "image")
 
@@ -118,23 +111,17 @@ def test_noise_is_refused_and_never_crashes(data):
     assert compressed_size(data) is None or isinstance(compressed_size(data), tuple)
 
 
-def test_depth_png_has_its_units_and_no_returns():
+def test_depth_png_has_its_units_and_needs_16_bits():
     raw = np.array([[0, 5000], [65535, 10000]], dtype=np.uint16)
-    depth = decode_depth_png(_png(raw), 5000.0, "depth")
+    depth = decode_depth_png(scenes.png_bytes(raw), 5000.0, "depth")
     np.testing.assert_allclose(depth, [[np.nan, 1.0], [np.nan, 2.0]], rtol=1e-6)
-
-
-def test_an_8_bit_depth_image_is_refused():
     with pytest.raises(RecordingError, match="uint8 with 1 channels; depth must be 16 bits"):
-        decode_depth_png(_png(np.zeros((3, 3), dtype=np.uint8)), 1000.0, "depth")
+        decode_depth_png(scenes.png_bytes(np.zeros((3, 3), dtype=np.uint8)), 1000.0, "depth")
 
 
-def test_the_png_of_compressed_depth_is_found_after_any_header():
-    data = _png(np.ones((3, 3), dtype=np.uint16))
+def test_the_png_of_compressed_depth_is_found_or_missed():
+    data = scenes.png_bytes(np.ones((3, 3), dtype=np.uint16))
     assert png_part(bytes(12) + data, "depth") == png_part(data, "depth") == data
-
-
-def test_compressed_depth_without_a_png_is_refused():
     with pytest.raises(RecordingError, match="depth holds no PNG"):
         png_part(bytes(40), "depth")
 

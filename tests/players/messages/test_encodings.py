@@ -3,10 +3,7 @@
 import base64
 import json
 import struct
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -28,14 +25,14 @@ RED = (200, 30, 40)
 DEPTH_MM = np.arange(1, 40 * 60 + 1, dtype=np.uint16).reshape(40, 60) % 4000
 
 
-def _message(encoding: str, rows: np.ndarray, height: int, width: int) -> SimpleNamespace:
+def _message(encoding, rows, height, width):
     data = np.ascontiguousarray(rows).view(np.uint8)
     return SimpleNamespace(
         encoding=encoding, is_bigendian=0, height=height, width=width, step=data.shape[1], data=data.ravel()
     )
 
 
-def _yuv(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
+def _yuv(rgb):
     """Return Y, U, V by the formula of BT.601 in the studio range."""
     r, g, b = rgb
     y = 16 + (65.738 * r + 129.057 * g + 25.064 * b) / 256
@@ -80,15 +77,11 @@ def test_every_encoding_that_is_promised_is_decoded():
         assert color_of_pixels(raw_pixels(_message(encoding, rows, 8, 8), encoding), encoding).shape == (8, 8, 3)
 
 
-def _png(image: np.ndarray) -> bytes:
-    return bytes(cv2.imencode(".png", image)[1])
-
-
-def encode_rvl(pixels: np.ndarray) -> bytes:
+def encode_rvl(pixels):
     flat = [int(pixel) for pixel in pixels.ravel()]
-    nibbles: list[int] = []
+    nibbles = []
 
-    def put(number: int) -> None:
+    def put(number):
         while True:
             low, number = number & 7, number >> 3
             nibbles.append(low | (8 if number else 0))
@@ -116,7 +109,7 @@ HEADER = struct.pack("<iff", 0, 0.0, 0.0)
 @pytest.mark.parametrize("encoding", ["16UC1; compressedDepth", "16UC1; compressedDepth png", "png", "16UC1", ""])
 @pytest.mark.parametrize("header", [HEADER, b""])
 def test_millimetres_are_found_whatever_the_format_string_says(encoding, header):
-    depth_m = decode_compressed_depth(header + _png(DEPTH_MM), encoding, 1000.0, "depth")
+    depth_m = decode_compressed_depth(header + scenes.png_bytes(DEPTH_MM), encoding, 1000.0, "depth")
     np.testing.assert_allclose(depth_m[DEPTH_MM > 0], DEPTH_MM[DEPTH_MM > 0] / 1000.0, rtol=1e-6)
     assert np.isnan(depth_m[DEPTH_MM == 0]).all()
 
@@ -128,7 +121,7 @@ def test_inverse_depth_is_metres_again(codec):
     true_m = np.linspace(0.5, 9.5, 64 * 48).reshape(48, 64).astype(np.float32)
     numbers = np.round(a / true_m + b).astype(np.uint16)
     numbers[0, :5] = 0
-    packed = _png(numbers) if codec == "png" else struct.pack("<ii", 64, 48) + encode_rvl(numbers)
+    packed = scenes.png_bytes(numbers) if codec == "png" else struct.pack("<ii", 64, 48) + encode_rvl(numbers)
     data = struct.pack("<iff", 0, a, b) + packed
     depth_m = decode_compressed_depth(data, f"32FC1; compressedDepth {codec}", 1000.0, "depth")
     assert np.isnan(depth_m[0, :5]).all()
@@ -137,7 +130,7 @@ def test_inverse_depth_is_metres_again(codec):
 
 @pytest.mark.parametrize("parameters", [(0, 0.0, 0.0), (1, 5.0, 0.0), (0, float("nan"), 0.0)])
 def test_inverse_depth_without_its_parameters_is_refused(parameters):
-    data = struct.pack("<iff", *parameters) + _png(DEPTH_MM)
+    data = struct.pack("<iff", *parameters) + scenes.png_bytes(DEPTH_MM)
     with pytest.raises(RecordingError, match="inverse depth without parameters"):
         decode_compressed_depth(data, "32FC1; compressedDepth png", 1000.0, "depth")
 
@@ -145,7 +138,6 @@ def test_inverse_depth_without_its_parameters_is_refused(parameters):
 @given(arrays(np.uint16, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(0, 65535)))
 def test_rvl_is_lossless(pixels):
     decoded = decode_rvl(encode_rvl(pixels), pixels.size)
-    assert decoded is not None
     np.testing.assert_array_equal(decoded, pixels.ravel())
 
 
@@ -171,7 +163,7 @@ def test_noise_is_refused_or_an_image_and_never_crashes(data, encoding):
 
 
 def test_an_image_that_claims_to_be_huge_is_refused_early():
-    bomb = bytearray(_png(DEPTH_MM))
+    bomb = bytearray(scenes.png_bytes(DEPTH_MM))
     bomb[16:24] = struct.pack(">II", 60_000, 60_000)
     for decode in (
         lambda: decode_color(bytes(bomb), "image"),
@@ -181,7 +173,7 @@ def test_an_image_that_claims_to_be_huge_is_refused_early():
             decode()
 
 
-def _descriptors() -> tuple[bytes, Any]:
+def _descriptors():
     """Return the descriptor set of Foxglove's messages, and the pool that makes them."""
     from google.protobuf import descriptor_pb2, descriptor_pool
 
@@ -189,7 +181,7 @@ def _descriptors() -> tuple[bytes, Any]:
     file = files.file.add(name="foxglove/all.proto", package="foxglove", syntax="proto3")
     kinds = descriptor_pb2.FieldDescriptorProto
 
-    def message(name: str, *fields: tuple[str, int, int, str, bool]) -> None:
+    def message(name, *fields):
         entry = file.message_type.add(name=name)
         for field, number, kind, type_name, repeated in fields:
             label = kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL
@@ -227,7 +219,7 @@ def _descriptors() -> tuple[bytes, Any]:
     return files.SerializeToString(), pool
 
 
-def _foxglove_log(path: Path, frames: list[scenes.SceneFrame], encoding: str) -> Path:
+def _foxglove_log(path, frames, encoding):
     """Write the scene as Foxglove's messages: the pose is the camera's own."""
     from google.protobuf import json_format, message_factory
     from mcap.writer import Writer
@@ -237,9 +229,9 @@ def _foxglove_log(path: Path, frames: list[scenes.SceneFrame], encoding: str) ->
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        channels: dict[str, int] = {}
+        channels = {}
 
-        def put(topic: str, name: str, stamp_ns: int, fields: dict[str, Any]) -> None:
+        def put(topic, name, stamp_ns, fields):
             if topic not in channels:
                 kind = "protobuf" if encoding == "protobuf" else "jsonschema"
                 schema = writer.register_schema(f"foxglove.{name}", kind, descriptors if kind == "protobuf" else b"{}")

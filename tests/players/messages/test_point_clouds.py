@@ -1,12 +1,10 @@
 from types import SimpleNamespace
-from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.errors import RecordingError
 from players import open_source
-from players.logs.log_source import LogSource
 from players.messages.point_clouds import scan_of
 from tests import player_scenes as scenes
 
@@ -16,9 +14,7 @@ STAMP_NS = 1_700_000_000_250_000_000
 _NUMBERS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
-def cloud(
-    columns: dict[str, tuple[str, Any]], *, rows: int = 1, gap: int = 0, row_gap: int = 0, big: bool = False
-) -> SimpleNamespace:
+def cloud(columns, *, rows=1, gap=0, row_gap=0, big=False):
     """A message of named columns (type, values), each `gap` bytes behind the one before, in `rows` rows."""
     fields, at = [], gap
     for name, (kind, _) in columns.items():
@@ -40,7 +36,11 @@ def cloud(
     )  # fmt: skip
 
 
-def xyz(kind: str = "f4") -> dict[str, tuple[str, Any]]:
+def fields_of_type(number):
+    return [SimpleNamespace(name=axis, offset=4 * i, datatype=number, count=1) for i, axis in enumerate("xyz")]
+
+
+def xyz(kind="f4"):
     return {axis: (kind, POINTS[:, i]) for i, axis in enumerate("xyz")}
 
 
@@ -66,7 +66,6 @@ def test_points_are_read_wherever_they_lie(kind, rows, gap, row_gap, big, order)
 )
 def test_the_time_of_a_point_is_told_since_the_stamp(name, kind, values):
     scan = scan_of(cloud({**xyz(), name: (kind, values)}))
-    assert scan.times_s is not None
     assert scan.times_s == pytest.approx([0.0, 0.01, 0.03, 0.05], abs=1e-6)
 
 
@@ -93,6 +92,7 @@ def test_a_single_row_needs_no_length_and_a_cloud_may_be_empty():
         ({"width": 2**31, "height": 2**20}, "over the limit"),
         ({"point_step": 8}, "field z ends at byte 12 of 8"),
         ({"fields": []}, "has no x, y, z; its fields are none"),
+        ({"fields": fields_of_type(9)}, "field x is of the unknown type 9"),
     ],
 )
 def test_a_cloud_that_contradicts_itself_is_refused(change, said):
@@ -100,13 +100,6 @@ def test_a_cloud_that_contradicts_itself_is_refused(change, said):
     for name, value in change.items():
         setattr(message, name, value)
     with pytest.raises(RecordingError, match=said):
-        scan_of(message)
-
-
-def test_a_field_of_no_known_type_is_refused():
-    message = cloud(xyz())
-    message.fields[0].datatype = 9
-    with pytest.raises(RecordingError, match="field x is of the unknown type 9"):
         scan_of(message)
 
 
@@ -129,7 +122,6 @@ def test_a_log_passes_scans_on_and_skips_a_corrupt_one(tmp_path, ros, caplog):
     messages.sort(key=lambda message: message.stamp_ns)
     write = scenes.write_ros1 if ros == 1 else scenes.write_ros2
     source = open_source(write(tmp_path / ("log.bag" if ros == 1 else "log"), m, messages))
-    assert isinstance(source, LogSource)
     scans = list(source.scans("/lidar_points"))
     assert [scan.stamp_ns for scan in scans] == [frames[0].stamp_ns, frames[2].stamp_ns]
     assert all(np.array_equal(scan.points, POINTS[FINITE]) for scan in scans)

@@ -1,4 +1,3 @@
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import ConfigError
@@ -6,8 +5,8 @@ from hickory_stream.evaluation.truth import instances_of, load_truth
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.shots import Filming, shots_of
-from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
-from tools.worlds.building.building import Building, BuildingSize, building
+from hickory_stream.worlds.trajectory import WalkConfig
+from tools.worlds.building.building import BuildingSize, building
 from tools.worlds.building.plan import STOREY_M
 from tools.worlds.building.route import building_walk, route_through
 from tools.worlds.recording_config import RecordingConfig
@@ -18,12 +17,12 @@ SHORT = RecordingConfig(scene="building", seed=3, building=FLAT, seconds=1.0, ra
 
 
 @pytest.fixture(scope="module")
-def house() -> Building:
+def house():
     return building(3, SIZE)
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("one")
     make_recording(SHORT, folder, "house")
     return folder
@@ -43,7 +42,6 @@ def test_every_floor_has_its_rooms_with_things_inside(house):
 
 def test_a_walk_enters_all_rooms_and_returns(house):
     walk = building_walk(house, None, WalkConfig(), 1, np.random.default_rng(1))
-    assert isinstance(walk, Trajectory)
     places = walk.world_from_camera[:, :3, 3]
     for storey in house.storeys:
         on_floor = places[np.abs(places[:, 2] - storey.floor_m - WalkConfig().eye_height_m) < 0.1]

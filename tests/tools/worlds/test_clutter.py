@@ -7,18 +7,19 @@ import pytest
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.camera import backproject
-from hickory_stream.geometry.mesh import Mesh, is_closed, volume_m3
+from hickory_stream.geometry.mesh import is_closed, volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.ray_caster import ray_caster
 from hickory_stream.worlds.clearance import clearance_among
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from hickory_stream.worlds.object_models import Part, model_triangles
+from hickory_stream.worlds.object_models import model_triangles
 from hickory_stream.worlds.scene import part_boxes
-from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
+from hickory_stream.worlds.trajectory import WalkConfig
+from tests.shapes.shape_fixtures import as_mesh
 from tools.worlds.cache import cached_recording, recording_name
 from tools.worlds.clutter.contents import CONTENTS
 from tools.worlds.clutter.floorplan import OUTLINES
-from tools.worlds.clutter.frames import ColorCameraConfig, Frame, frames_of
+from tools.worlds.clutter.frames import ColorCameraConfig, frames_of
 from tools.worlds.clutter.groups import GROUPS
 from tools.worlds.clutter.heaps import heap
 from tools.worlds.clutter.kit import FAMILIES, SHAPES, TABLE, Recipes, any_material
@@ -32,7 +33,7 @@ from tools.worlds.recording_config import RecordingConfig
 SHAPE_FIELDS = ("small", "supports", "seats", "bodies", "units")
 
 
-def names_of(recipes: Recipes) -> list[str]:
+def names_of(recipes):
     fields = [field.name for field in dataclasses.fields(recipes) if field.name != "flat"]
     return [name for field in fields for name in getattr(recipes, field)]
 
@@ -55,16 +56,6 @@ def test_every_recipe_is_listed_and_every_name_has_one():
     assert told["outlines"] == set(OUTLINES)
 
 
-def as_mesh(part: Part) -> Mesh:
-    count = len(part.vertices)
-    return Mesh(
-        vertices=part.vertices.astype(np.float32),
-        faces=part.faces,
-        colors=np.zeros((count, 3), dtype=np.uint8),
-        is_seen=np.ones(count, dtype=bool),
-    )
-
-
 @pytest.mark.parametrize("name", sorted(SHAPES))
 def test_every_shape_is_closed_solids_on_its_base(name):
     for seed in range(3):
@@ -79,7 +70,7 @@ def test_every_shape_is_closed_solids_on_its_base(name):
 
 
 @pytest.fixture(scope="module")
-def frames() -> list[Frame]:
+def frames():
     return list(frames_of(3, "training", 3, width=96, height=72))
 
 
@@ -139,7 +130,6 @@ def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path):
 def test_a_walk_keeps_its_distance_from_everything():
     room = next(room for i in range(20) if len((room := clutter_room(2, "training", i)).world.objects) >= 6)
     walk = wander(room, 20.0, WalkConfig(clearance_m=0.22), np.random.default_rng(0))
-    assert isinstance(walk, Trajectory)
     boxes = [box for item in room.world.objects for box in part_boxes(item.model, item.world_from_object)]
     clearance = clearance_among(boxes, room.plan.bounds_m, room.plan.outline_m)
     assert clearance.at(walk.world_from_camera[::30, :2, 3]).min() > 0.1

@@ -5,7 +5,7 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of, load_truth, mesh_of
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.room import furnished_room
-from hickory_stream.worlds.scene import World, part_boxes, shared_volume_m3
+from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from tools.worlds.days import CHANGES_A_DAY, world_of_day
 from tools.worlds.recording_config import RecordingConfig
 
@@ -35,7 +35,7 @@ def test_a_day_moves_removes_adds_and_exchanges_and_ids_stay():
 def test_equal_days_are_equal_worlds_and_days_follow_each_other():
     world = furnished_room(31, 0)
 
-    def places(one: World) -> dict[int, list[list[float]]]:
+    def places(one):
         return {item.id: item.world_from_object.tolist() for item in one.objects}
 
     first, again, second = (places(world_of_day(world, 31, day, lambda _: True)) for day in (1, 1, 2))

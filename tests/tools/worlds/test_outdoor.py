@@ -4,13 +4,14 @@ from collections import Counter
 from itertools import pairwise
 import numpy as np
 import pytest
-from hickory_stream.geometry.mesh import Mesh, is_closed
+from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.worlds.clearance import clearance_of
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.trajectory import NoWalk, WalkConfig
+from tests.shapes.shape_fixtures import as_mesh
 from tools.worlds.outdoor import street_things
-from tools.worlds.outdoor.street import Street, street
+from tools.worlds.outdoor.street import street
 from tools.worlds.outdoor.walk import outdoors, stroll
 from tools.worlds.recording_config import RecordingConfig, walkable_world
 
@@ -23,25 +24,19 @@ RECIPES = [
 
 
 @pytest.fixture(scope="module")
-def streets() -> list[Street]:
+def streets():
     return [street(seed) for seed in SEEDS]
 
 
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.__name__)
-def test_outdoor_things_are_closed_and_face_outwards(recipe):  # type: ignore[no-untyped-def]
+def test_outdoor_things_are_closed_and_face_outwards(recipe):
     for seed in (1, 2):
         model = recipe(np.random.default_rng(seed))
         lower, upper = model.bounds_m()
         assert -0.45 < lower[2] <= 0.05
         assert upper[2] > 0.2
         for part in model.parts:
-            mesh = Mesh(
-                vertices=part.vertices.astype(np.float32),
-                faces=part.faces,
-                colors=np.zeros((len(part.vertices), 3), dtype=np.uint8),
-                is_seen=np.ones(len(part.vertices), dtype=bool),
-            )
-            assert is_closed(mesh)
+            assert is_closed(as_mesh(part))
             a, b, c = (part.vertices[part.faces[:, i]] for i in range(3))
             assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
 
@@ -93,7 +88,7 @@ def test_one_walks_over_kerbs_at_eye_height(streets):
             assert np.abs(height - config.eye_height_m).max() < 0.15
             on = {found.terrain.kerbs_m[0] < y < found.terrain.kerbs_m[1] for y in places[:, 1]}
             assert on == {True, False}, "it goes over the road, and beside it"
-        assert not np.allclose(walks[0].world_from_camera[600], walks[1].world_from_camera[600])  # type: ignore[union-attr]
+        assert not np.allclose(walks[0].world_from_camera[600], walks[1].world_from_camera[600])
 
 
 def test_a_frame_of_a_street_has_sky_in_colour_and_none_in_depth():

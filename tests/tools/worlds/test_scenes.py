@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of
-from hickory_stream.geometry.mesh import Mesh, is_closed
+from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import is_rigid, rotation_angle_rad
 from hickory_stream.worlds.clearance import clearance_of
-from hickory_stream.worlds.scene import World, part_boxes, shared_volume_m3
+from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.trajectory import Trajectory
+from tests.shapes.shape_fixtures import as_mesh
 from tools.worlds import big_things, table_things
 from tools.worlds.apartment import apartment
 from tools.worlds.cache import cached_recording
@@ -30,22 +31,14 @@ KINDS = [
 
 
 @pytest.fixture(scope="module")
-def apartments() -> list[World]:
+def apartments():
     return [apartment(seed) for seed in SEEDS]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
-def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind):  # type: ignore[no-untyped-def]
+def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind):
     model = kind(np.random.default_rng(3))
-    for part in model.parts:
-        count = len(part.vertices)
-        mesh = Mesh(
-            vertices=part.vertices.astype(np.float32),
-            faces=part.faces,
-            colors=np.zeros((count, 3), dtype=np.uint8),
-            is_seen=np.ones(count, dtype=bool),
-        )
-        assert is_closed(mesh)
+    assert all(is_closed(as_mesh(part)) for part in model.parts)
     assert model.bounds_m()[0, 2] == pytest.approx(0.0, abs=0.006)
 
 
@@ -83,7 +76,7 @@ def test_no_two_objects_cut_into_one_another(apartments):
 
 
 def test_equal_seeds_make_equal_apartments_and_others_differ():
-    def told(world: World) -> list[tuple[str, list[float]]]:
+    def told(world):
         return [(item.model.kind, item.world_from_object.ravel().round(9).tolist()) for item in world.objects]
 
     assert told(apartment(5)) == told(apartment(5))
@@ -118,7 +111,7 @@ def test_an_orbit_looks_down_at_the_table_from_every_side():
     assert abs(angles[-1] - angles[0]) > 2 * np.pi
 
 
-def straight_walk(length_m: float) -> Trajectory:
+def straight_walk(length_m):
     times = np.linspace(0, 60, 1200)
     poses = np.tile(np.eye(4), (len(times), 1, 1))
     poses[:, 0, 3] = length_m * times / times[-1]

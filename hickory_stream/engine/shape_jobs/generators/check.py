@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, cast_scene, scene_pose
+from hickory_stream.box_scene import SCENE_BOXES, shape_inputs
 from hickory_stream.engine.shape_jobs.generators.choose import ExternalGenerator
 from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec, fingerprint, missing_of
 from hickory_stream.errors import WorkerError
-from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import backproject, project
+from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.ports import Crop, MeshPlacement, NoShape, ShapeInputs
+from hickory_stream.ports import MeshPlacement, NoShape
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 
 _FRAMES = (0, 6, 12)
@@ -52,7 +51,7 @@ def checked(spec: GeneratorSpec, path: Path) -> tuple[dict[str, Any], NDArray[np
 
 
 def _tried(generator: ExternalGenerator, facts: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
-    inputs = _object()
+    inputs = shape_inputs(SCENE_BOXES[-1:], _FRAMES)
     started = time.perf_counter()
     found = generator.generate(inputs)
     seconds, memory_mb = time.perf_counter() - started, generator.process.most_memory_mb
@@ -71,20 +70,3 @@ def _tried(generator: ExternalGenerator, facts: dict[str, Any]) -> tuple[dict[st
     columns, rows = pixels[is_inside].astype(np.int64).T
     picture[rows, columns] = _DRAWN
     return {**facts, "state": "ok", "cost": round(placed.cost, 3), "is_usable": True}, picture
-
-
-def _object() -> ShapeInputs:
-    crops = []
-    box = SCENE_BOXES[-1:]
-    for index in _FRAMES:
-        pose = scene_pose(index)
-        rgb, depth_m, instances = cast_scene(box, SCENE_CAMERA, pose)
-        crops.append(Crop(rgb=rgb, depth_m=depth_m, mask=instances > 0, camera=SCENE_CAMERA, world_from_camera=pose))
-    points = np.concatenate([apply(c.world_from_camera, backproject(c.depth_m, c.camera)[c.mask]) for c in crops])
-    return ShapeInputs(
-        crops=tuple(crops),
-        points_world=points.astype(np.float32),
-        colors=np.concatenate([crop.rgb[crop.mask] for crop in crops]),
-        box=gravity_aligned_box(points, 0.005),
-        support_z_m=0.0,
-    )

@@ -1,7 +1,6 @@
 """Folders of public data sets as their writers make them, whole and damaged."""
 
 import json
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError, InputError, NoPosesError, RecordingError
@@ -27,7 +26,7 @@ def camera_of(layout):
     return ICL_CAMERA if layout == "icl_nuim" else scenes.CAMERA
 
 
-def write(layout: str, folder: Path) -> Path:
+def write(layout, folder):
     with FOLDER_LOGS[layout](folder, camera_of(layout), 98) as log:
         for true in scenes.make_scene():
             log.write_pose(true.stamp_ns, true.world_from_camera, np.zeros(6))
@@ -48,11 +47,11 @@ def written(request, tmp_path):
     return request.param, write(request.param, tmp_path / request.param)
 
 
-def scene_of(folder: Path) -> Path:
+def scene_of(folder):
     return next((file.parent for file in folder.glob("*/*/scene_camera.json")), folder)
 
 
-def text_files(folder: Path) -> list[Path]:
+def text_files(folder):
     suffixes = (".json", ".txt", ".log", ".traj", ".pincam", ".sim")
     return [file for file in sorted(folder.rglob("*")) if file.suffix in suffixes]
 
