@@ -1,14 +1,13 @@
 """What the trees of the default segmenter learn from: the fragments of images, and what each of them shows in truth."""
 # A lesson keeps counts instead of the image, and from these every way of joining its fragments can be scored.
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.evaluation.truth import Truth, instances_of
-from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
@@ -149,10 +148,7 @@ def score_groups(lesson: Lesson, numbers: NDArray[np.int64]) -> MaskScore:
 
 def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: PixelNetwork | None = None) -> list[Lesson]:
     """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces."""
-    # A network divides the pieces further, as it does where maps are made.
     said = None if network is None else network.odds(pieces.surface, None)
-    if said is not None:
-        pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))
     measures = region_graph_of(pieces)
     if measures is None:
         return []

@@ -70,6 +70,7 @@ FORMER_KEYS = {
         _LEARNED,
     ),
     "perception.affinities.odds_shift": _LEARNED,
+    "perception.affinities.split.odds_shift": _LEARNED,
     "perception.affinities.structure_odds": _GEOMETRY,
     "perception.affinities.thing_odds": _GEOMETRY,
     **dict.fromkeys(
@@ -97,7 +98,6 @@ perception.geometric.join.bridging gap_m=0.5 tolerance_m=0.006 min_lines=4 min_s
 perception.geometric.join.map_prior min_sightings=4 min_share=0.5
 perception.geometric min_side_sigmas=2.5 occluded_area_px=720 occluded_share=0.6 support_area_m2=0.03
     support_area_px=60
-perception.affinities.split min_pixels=6
 perception.semantic.panoptic mask_threshold=0.5 overlap=0.3
 perception.masks max_share=0.6 structure_share=0.5 duplicate_iou=0.8 inside_share=0.85 stands_out_m=0.008
     flat_area_m2=0.008 visible_share=0.25 occluded_share=0.6

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.affinity.pixel_network import ODDS_ZERO, THING, PixelNetwork, PixelOdds
 from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
@@ -37,8 +36,6 @@ class NetworkJoinConfig(Ranged):
     learned_probability: float = number(0.35, 0, 1, "probability")
     #: Added to the log-odds that a mask is part of the room; lower values reject fewer masks, -8 none.
     structure_shift: float = number(-1.0, -8, 8, "log-odds")
-    #: When the network divides fragments that geometry and colour did not divide.
-    split: SplitConfig = field(default_factory=SplitConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -89,5 +86,4 @@ class NetworkSegmenter:
     def fragments(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Fragments:
         """Return the over-segmentation of a frame, before any fragments are joined."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
-        pieces = self._geometric.divided(found.surface, self._geometric.room(found.surface, prior))
-        return replace(pieces, labels=divided_by_odds(pieces.labels, found.odds, self._config.split))
+        return self._geometric.divided(found.surface, self._geometric.room(found.surface, prior))

@@ -30,9 +30,8 @@ MILLIMETRE, MOST_MM = np.float32(0.001), 65535
 _AGREE_SIGMAS = 3.0
 # A return needs at least this many of its 24 neighbours within those sigmas of its depth.
 _MIN_NEIGHBORS = 5
-# Depth less sure than this many voxels is averaged over the pixels beside it, so many to each side: what is farther
-# away is seen in few frames.
-_NOISY_VOXELS, _SMOOTH_PX = 4.0, 2
+# The noise of a return is estimated from so many pixels to each side.
+_SMOOTH_PX = 2
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
@@ -106,7 +105,7 @@ def _lift(
     # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
-    depth = _without_noise(frame.depth_m[y0:y1, x0:x1], mask, frame.sensor.law, _NOISY_VOXELS * voxel_m)
+    depth = _without_noise(frame.depth_m[y0:y1, x0:x1], mask, frame.sensor.law)
     points, colors, depth_mm, is_whole, num_reliable = _returns(
         depth,
         frame.rgb[y0:y1, x0:x1],
@@ -269,7 +268,7 @@ def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame)
 
 
 @kernel
-def _without_noise(depth, mask, law, least_sigma):
+def _without_noise(depth, mask, law):
     # The local filter of Lee (1980) in inverse depth, in whole millimetres: where neighbours in the mask vary by no
     # more than noise they are averaged; a step of depth stays. A plane is linear in inverse depth and stays one.
     height, width = mask.shape
@@ -281,8 +280,8 @@ def _without_noise(depth, mask, law, least_sigma):
     out = depth.copy()
     for y in range(height):
         for x in range(width):
-            own, sigma = inverse[y, x], sigma_at(np.float64(depth[y, x]), law)
-            if own == 0.0 or sigma < least_sigma:
+            own = inverse[y, x]
+            if own == 0.0:
                 continue
             count, total, squares = 0, 0.0, 0.0
             for yy in range(max(0, y - _SMOOTH_PX), min(height, y + _SMOOTH_PX + 1)):
@@ -295,7 +294,7 @@ def _without_noise(depth, mask, law, least_sigma):
             mean = total / count
             variance = squares / count - mean * mean
             if variance > 0.0:
-                noise = sigma * own * own
+                noise = sigma_at(np.float64(depth[y, x]), law) * own * own
                 kept = max(variance - noise * noise, 0.0) / variance
                 out[y, x] = np.float32(np.rint(1000.0 / (own + mean * (1.0 - kept)))) * MILLIMETRE
     return out

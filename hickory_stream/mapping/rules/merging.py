@@ -36,8 +36,8 @@ _COVERS_SHARE = 0.3
 # over-segment objects more often than distant ones under-segment them.
 _SURE_NS = 1_500_000_000
 _SURE_RATIO = 0.7
-# Clouds are compared in cells of this many standard deviations of their depth, and not finer.
-_CELL_SIGMAS = 0.5
+# Clouds whose depth is less sure than this many voxels are compared in cells of about half a standard deviation.
+_NOISY_VOXELS = 8.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -262,10 +262,10 @@ def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: f
     if share >= (SURE_SHARE if votes.apart_ns > votes.together_ns else DUPLICATE_SHARE):
         return f"{share:.0%} of the smaller cloud lies on the larger one"
     # From far away a thing is spread along the rays, and its near views lie within that: two tracks of one thing.
-    finest_m = max(sigma_of(a.solid), sigma_of(b.solid)) * _CELL_SIGMAS
-    if votes.apart_ns > 0 or finest_m < 2 * voxel_m:
+    noise = max(sigma_of(a.solid), sigma_of(b.solid)) / voxel_m
+    if votes.apart_ns > 0 or noise < _NOISY_VOXELS:
         return None
-    share = share_near(small.solid.keys, large.solid, halvings=int(finest_m / voxel_m).bit_length() - 1)
+    share = share_near(small.solid.keys, large.solid, halvings=int(noise / 2).bit_length() - 1)
     return (
         f"{share:.0%} of the smaller cloud lies on the larger one, to within noise"
         if share >= DUPLICATE_SHARE
