@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, SceneSource, cast_scene
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import LoopsSearched
+from hickory_stream.events import KeyframeKeptOut, LoopsSearched
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.journal.reader import Journal
@@ -22,7 +22,7 @@ from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import wilson
 from tools.benchmarks.common.processes import NO_SHAPES
-from tools.benchmarks.poses.drift_logs import drift_of
+from tools.benchmarks.poses.drift_logs import Poses, drift_of
 from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.drift import drifted
 
@@ -48,11 +48,12 @@ class Walk:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Closed:
-    """The loops of a run: those that its graph accepts, right and wrong, and the rejected ones."""
+    """The loops of a run: those that its graph accepts, right and wrong, the rejected ones; keyframes kept out."""
 
     right: int
     wrong: int
     rejected: int
+    kept_out: int
 
 
 def walk_figures(options: Options) -> list[Figure]:
@@ -82,13 +83,18 @@ def _closed(walk: Walk) -> Closed:
         odometry = {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.odometry)}
         moved = MovedSource(_Cast(walk), lambda raw: odometry[raw.stamp_ns])
         play_into(out, moved, read_config(MapperConfig, None, _CONFIG))
-        graph = open_map(out).snapshot.graph
-        with Journal(out) as journal:
-            events = [event for entry in journal.entries() for event in entry.events]
+        return closed_loops(out, {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.true)})
+
+
+def closed_loops(out: Path, true: Poses) -> Closed:
+    """Return the loops of a map, compared with the true poses of its log."""
+    graph = open_map(out).snapshot.graph
+    with Journal(out) as journal:
+        events = [event for entry in journal.entries() for event in entry.events]
+    kept_out = sum(isinstance(event, KeyframeKeptOut) for event in events)
     if graph is None:
-        return Closed(right=0, wrong=0, rejected=0)
+        return Closed(right=0, wrong=0, rejected=0, kept_out=kept_out)
     loops = {(o.earlier, o.later): o for e in events if isinstance(e, LoopsSearched) for o in e.loops}
-    true = {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.true)}
     anchors = {node.submap_id: (node.uncorrected, true[node.stamp_ns]) for node in graph.nodes}
     is_right = []
     for edge in graph.loops:
@@ -98,8 +104,8 @@ def _closed(walk: Walk) -> Closed:
             step = compose(invert(found), compose(invert(true_a), true_b))
             is_near = bool(np.linalg.norm(step[:3, 3]) < _WRONG_M)
             is_right.append(is_near and rotation_angle_rad(step[:3, :3]) < _WRONG_RAD)
-    right = sum(is_right)
-    return Closed(right=right, wrong=len(is_right) - right, rejected=len(graph.loops) - len(is_right))
+    right, rejected = sum(is_right), len(graph.loops) - len(is_right)
+    return Closed(right=right, wrong=len(is_right) - right, rejected=rejected, kept_out=kept_out)
 
 
 def _walk(seed: int, number: int) -> Walk:
