@@ -122,8 +122,8 @@ class VoxelMapOdometry:
     ) -> Registered | NotRegistered:
         """Return the pose of the scan, or the reason why it has none; then the map does not change.
 
-        `measured` (6, 6): the information of `last_from_scan`, if another sensor measured it, in the scan's frame. Such
-        a scan has a pose even if it does not lie on the map.
+        `measured` (6, 6): the information of `last_from_scan` in the scan's frame, if another sensor measured it. A
+        registration that is far from there does not count.
         """
         predicted = self._predicted(scan, last_from_scan)
         if len(scan.points) < self._config.least_points:
@@ -132,9 +132,12 @@ class VoxelMapOdometry:
             return self._begin(scan)
         cloud, surfels = self._cloud(scan, predicted)
         found = self._aligned(cloud, predicted)
-        reason = self._why_not(cloud, found, predicted)
-        if reason is not None and measured is None:
-            return NotRegistered(reason=reason)
+        reason = self._why_not(cloud, found) or self._why_too_far(found, predicted)
+        # A registration may slide away from a measured pose at which the scan lies on the map.
+        is_off = reason is not None and measured is not None
+        against = self._why_not(cloud, self._aligned(cloud, predicted, 1)) if is_off else reason
+        if against is not None:
+            return NotRegistered(reason=against)
         limits = {"strong_cosine": self._config.strong_cosine, "least_strong": self._config.least_strong}
         degenerate = degenerate_directions(surfels, **limits) if reason is None else np.eye(6)
         information = _information(found, degenerate) if reason is None else np.zeros((6, 6))
@@ -185,7 +188,7 @@ class VoxelMapOdometry:
         small_gicp.estimate_normals_covariances(thin, tree, self._config.num_neighbors, 1)
         return thin, surfels
 
-    def _aligned(self, cloud: Any, predicted: NDArray[np.float64]) -> Any:
+    def _aligned(self, cloud: Any, predicted: Matrix, max_iterations: int | None = None) -> Any:
         import small_gicp
 
         return small_gicp.align(
@@ -194,17 +197,21 @@ class VoxelMapOdometry:
             init_T_target_source=predicted,
             max_correspondence_distance=self._config.gate_m,
             num_threads=1,
-            max_iterations=self._config.max_iterations,
+            max_iterations=max_iterations or self._config.max_iterations,
         )
 
-    def _why_not(self, cloud: Any, found: Any, predicted: NDArray[np.float64]) -> str | None:
-        # Why a result is not to be believed, None where it is.
+    def _why_not(self, cloud: Any, found: Any) -> str | None:
+        # Why a scan cannot be placed, None where it can.
         config = self._config
         if cloud.size() < config.least_points:
             return f"{cloud.size()} points after thinning out; expected {config.least_points} and more"
         share = found.num_inliers / cloud.size()
         if not share >= config.least_share:
             return f"{share:.0%} of the points lie on the map; expected {config.least_share:.0%} and more"
+        return None
+
+    def _why_too_far(self, found: Any, predicted: Matrix) -> str | None:
+        config = self._config
         step = compose(invert(predicted), found.T_target_source)
         moved_m = float(np.sqrt((step[:3, 3] * step[:3, 3]).sum()))
         turned_rad = rotation_angle_rad(step[:3, :3])
