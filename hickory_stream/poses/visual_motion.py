@@ -36,6 +36,8 @@ _ITERATIONS = 5
 _CORRELATED = 12.0
 # A keyframe is a frame so far from all others: the base of its features.
 _KEYFRAME_M, _KEYFRAME_COSINE = 0.5, 0.87
+# 70 kB each; the oldest are forgotten first.
+_MAX_KEYFRAMES = 1000
 # A lost camera is looked for in the nearest keyframes.
 _NUM_SEARCHED = 30
 
@@ -99,7 +101,7 @@ class VisualMotion:
     """The features of the last frame, and of keyframes among which a lost camera finds its place."""
 
     def __init__(self) -> None:
-        self._keyframes = list[_Placed]()
+        self._keyframes, self._places = list[_Placed](), np.empty((0, 4, 4))
         self._last: _Placed | None = None
         self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
 
@@ -113,8 +115,7 @@ class VisualMotion:
         """Return the pose of a frame by the keyframe that shows most of the same; None: none does."""
         if self._last is None:
             return None
-        here = self._last.start_from_camera[:3, 3]
-        away = [float(np.linalg.norm(each.start_from_camera[:3, 3] - here)) for each in self._keyframes]
+        away = np.linalg.norm(self._places[:, :3, 3] - self._last.start_from_camera[:3, 3], axis=1)
         nearest = np.argsort(away, kind="stable")[:_NUM_SEARCHED]
         poses = (self._pose(features, self._keyframes[i], _LEAST_FOUND) for i in nearest)
         return max((pose for pose in poses if pose is not None), key=lambda pose: pose.num_inliers, default=None)
@@ -122,8 +123,11 @@ class VisualMotion:
     def placed(self, features: Features, start_from_camera: Matrix) -> None:
         """Remember a frame at its final pose (4, 4)."""
         self._last = placed = _Placed(features=features, start_from_camera=start_from_camera)
-        if not any(_is_near(each.start_from_camera, start_from_camera) for each in self._keyframes):
-            self._keyframes.append(placed)
+        is_close = np.linalg.norm(self._places[:, :3, 3] - start_from_camera[:3, 3], axis=1) < _KEYFRAME_M
+        looks_alike = (self._places[:, :3, 2] * start_from_camera[:3, 2]).sum(axis=1) > _KEYFRAME_COSINE
+        if not (is_close & looks_alike).any():
+            self._keyframes = [*self._keyframes, placed][-_MAX_KEYFRAMES:]
+            self._places = np.array([each.start_from_camera for each in self._keyframes])
 
     def _pose(self, features: Features, other: _Placed, least: int) -> Sighting | None:
         ours, theirs = self._matches(features, other.features)
@@ -149,11 +153,6 @@ class VisualMotion:
         good = [first for first, second in pairs if first.distance < _RATIO * second.distance]
         own, other = (np.array([getattr(each, name) for each in good], np.int64) for name in ("queryIdx", "trainIdx"))
         return own, known[other]
-
-
-def _is_near(a: Matrix, b: Matrix) -> bool:
-    is_close = float(np.linalg.norm(a[:3, 3] - b[:3, 3])) < _KEYFRAME_M
-    return is_close and float(a[:3, 2] @ b[:3, 2]) > _KEYFRAME_COSINE
 
 
 def _located(

@@ -20,7 +20,7 @@ from hickory_stream.ports import NotRegistered, Registered, Source, SourceAround
 from hickory_stream.poses.camera_odometry import CameraOdometry
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
-from hickory_stream.poses.upright import up_in
+from hickory_stream.poses.upright import LevelledPoses, up_in
 from players.logs.log_source import LogSource
 from players.poses.interpolation import row_of_pose, world_from_down
 from players.poses.tf import FrameTree
@@ -117,7 +117,7 @@ class OdometrySource(SourceAround):
             yield raw, world_from_camera, degenerate, decoded
 
     def _by_depth(self, counts: Counter[str]) -> Iterator[_Posed]:
-        odometry = CameraOdometry(self._method)
+        odometry, levelled = CameraOdometry(self._method), LevelledPoses()
         results = _Results(counts, "depth")
         world_from_start: NDArray[np.float64] | None = None
         before: NDArray[np.float64] | None = None
@@ -135,7 +135,8 @@ class OdometrySource(SourceAround):
             before = raw.world_from_camera if raw.is_posed and self._predicts else None
             if world_from_start is None:
                 world_from_start = self._world_from_first(raw, scan_of_depth(frame))
-            yield raw, compose(world_from_start, found.start_from_sensor), found.degenerate, frame
+            pose = levelled.placed(world_from_start, found.start_from_sensor, scan_of_depth(frame))
+            yield raw, pose, found.degenerate, frame
 
     def _by_lidar(self, counts: Counter[str]) -> Iterator[_Posed]:
         # Poses are interpolated between sweeps; the log's poses predict the motion of a sweep.
