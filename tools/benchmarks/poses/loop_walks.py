@@ -14,7 +14,7 @@ from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, SceneSource,
 from hickory_stream.config import MapperConfig
 from hickory_stream.events import KeyframeKeptOut, LoopsSearched
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.trajectory import Trajectory
@@ -23,6 +23,7 @@ from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import wilson
 from tools.benchmarks.common.processes import NO_SHAPES
 from tools.benchmarks.poses.drift_logs import Poses, drift_of
+from tools.benchmarks.poses.loops import is_near
 from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.drift import drifted
 
@@ -31,7 +32,6 @@ _NUM_ROOMS, _PITCH_M, _DEPTH_M, _WALL_M, _HIGH_M = 4, 4.1, 3.2, 0.1, 2.4
 _DOOR_M = (1.1, 2.1)
 _EYE_M, _DOWN = 1.3, 0.25
 _STEP_M, _STEP_RAD = 0.3, np.radians(20.0)
-_WRONG_M, _WRONG_RAD = 0.3, 0.1
 _NUM_WALKS, _QUICK_WALKS = 8, 2
 _CONFIG = (NO_SHAPES, "journal.keep_images=false", "mapping.submaps.travel_m=5")
 
@@ -101,9 +101,7 @@ def closed_loops(out: Path, true: Poses) -> Closed:
         if edge.status == "accepted":
             (a, true_a), (b, true_b) = anchors[edge.earlier], anchors[edge.later]
             found = compose(invert(a), loops[edge.earlier, edge.later].earlier_from_later, b)
-            step = compose(invert(found), compose(invert(true_a), true_b))
-            is_near = bool(np.linalg.norm(step[:3, 3]) < _WRONG_M)
-            is_right.append(is_near and rotation_angle_rad(step[:3, :3]) < _WRONG_RAD)
+            is_right.append(is_near(compose(invert(found), invert(true_a), true_b)))
     right, rejected = sum(is_right), len(graph.loops) - len(is_right)
     return Closed(right=right, wrong=len(is_right) - right, rejected=rejected, kept_out=kept_out)
 

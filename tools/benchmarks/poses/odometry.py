@@ -3,9 +3,10 @@
 
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -50,13 +51,6 @@ _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Walked:
-    end_error_m: float
-    num_scans: int
-    num_degenerate: int
-
-
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
     # `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
@@ -64,8 +58,7 @@ def measure(options: Options) -> list[Figure]:
     if len(options.only) == 1 and options.only[0] in _PARTS:
         return _PARTS[options.only[0]](options)
     quick = options.quick
-    figures = graph_figures(options)
-    figures += real_figures(options)
+    figures = [*graph_figures(options), *real_figures(options)]
     logs = [DEMO] if quick else [cached_recording(config)[0] for config in _WORLDS]
     rooms = [estimated(log) for log in logs]
     of = f"of {len(rooms)} worlds, the worst; exact truth"
@@ -145,7 +138,7 @@ def _extrinsics() -> list[Figure]:
     ]
 
 
-def _walk(walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> _Walked:
+def _walk(walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> SimpleNamespace:
     odometry, before, start = make_odometry("lidar", method), None, None
     num_scans = num_degenerate = 0
     for scan, world_from_sensor in walk:
@@ -158,7 +151,7 @@ def _walk(walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bo
             start = start if start is not None else before
     moved = compose(invert(start), before)
     end_error_m = float(np.linalg.norm(last[:3, 3] - moved[:3, 3]))
-    return _Walked(end_error_m=end_error_m, num_scans=num_scans, num_degenerate=num_degenerate)
+    return SimpleNamespace(end_error_m=end_error_m, num_scans=num_scans, num_degenerate=num_degenerate)
 
 
 def _points_of(file: Path) -> NDArray[np.float32]:

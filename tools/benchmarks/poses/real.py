@@ -45,26 +45,25 @@ def real_figures(options: Options) -> list[Figure]:
         runs |= {} if options.quick else {"kiss": partial(estimated, log, "kiss-icp"), "map": partial(_mapped, log)}
         found = {key: cached(folder / f"{name}{key}.json", run) for key, run in runs.items()}
         own, of = found[""], f"{found['']['frames']} frames, {found['']['way_m']:.1f} m, {found['']['by']}"
-        figures += [
-            figure(f"{prefix}_ate_m", own["ate_m"], "m", "lower", of, role=role),
-            figure(f"{prefix}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last frame"),
-            figure(f"{prefix}_degenerate", own["degenerate"], "", "lower", f"of {own['frames']} scans"),
+        rows = [
+            (f"{prefix}_ate_m", own["ate_m"], "m", "lower", of),
+            (f"{prefix}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last frame"),
+            (f"{prefix}_degenerate", own["degenerate"], "", "lower", f"of {own['frames']} scans"),
         ]
         if not options.quick:
-            kiss, own = found["kiss"], found["map"]
-            of = f"{own['poses']} keyframes in the map, {own['kept_out']} kept out"
-            figures += [
-                figure(f"{prefix.replace('odometry', 'kiss_icp')}_ate_m", kiss["ate_m"], "m", "lower"),
-                figure(f"{name}_ate_m", own["ate_m"], "m", "lower", of, role=role),
-                figure(f"{name}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last keyframe"),
-                figure(f"{name}_loops", own["right"], "", "higher", f"right ones, {own['rejected']} rejected"),
-                figure(f"{name}_wrong_loops", own["wrong"], "", "lower", "believed"),
+            own, of = found["map"], f"{found['map']['poses']} keyframes in the map, {found['map']['kept_out']} kept out"
+            rows += [
+                (f"{prefix.replace('odometry', 'kiss_icp')}_ate_m", found["kiss"]["ate_m"], "m", "lower"),
+                (f"{name}_ate_m", own["ate_m"], "m", "lower", of),
+                (f"{name}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last keyframe"),
+                (f"{name}_loops", own["right"], "", "higher", f"right ones, {own['rejected']} rejected"),
+                (f"{name}_wrong_loops", own["wrong"], "", "lower", "believed"),
             ]
+        figures += [figure(*row, role=role) for row in rows]
     return figures
 
 
-def _true(log: Path) -> Poses:
-    source = open_source(log)
+def _poses(source: Source) -> Poses:
     poses = {raw.stamp_ns: raw.world_from_camera for raw in source.frames()}
     source.close()
     return poses
@@ -76,22 +75,16 @@ def _without_poses(log: Path, choice: OdometryChoice = "depth") -> Source:
 
 def estimated(log: Path, choice: OdometryChoice = "depth") -> dict[str, Any]:
     """Return the errors, the digest and the time of odometry on the frames of a log, without its poses."""
-    true, source, started_s = _true(log), _without_poses(log, choice), time.process_time()
-    poses = {raw.stamp_ns: raw.world_from_camera for raw in source.frames()}
+    true, source, started_s = _poses(open_source(log)), _without_poses(log, choice), time.process_time()
+    poses = _poses(source)
     ms = 1e3 * (time.process_time() - started_s) / len(true)
-    counts = source.ledger()
-    source.close()
-    digest = sha256(np.array(list(poses.values())).tobytes()).hexdigest()
-    more = {
-        "degenerate": counts.get("odometry_degenerate", 0),
-        "by": dict(source.info.streams)["pose"],
-        "digest": digest,
-    }
-    return {**_errors(poses, true), **more, "frames": len(true), "ms": ms}
+    errors, counts, by = _errors(poses, true), source.ledger(), dict(source.info.streams)["pose"]
+    more = {"frames": len(true), "degenerate": counts.get("odometry_degenerate", 0), "by": by, "ms": ms}
+    return {**errors, **more, "digest": sha256(np.array(list(poses.values())).tobytes()).hexdigest()}
 
 
 def _mapped(log: Path) -> dict[str, Any]:
-    true = _true(log)
+    true = _poses(open_source(log))
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "map"
         play_into(out, _without_poses(log), read_config(MapperConfig, None, (*CONFIG, NO_SHAPES)))
