@@ -26,6 +26,7 @@ PATHS = (
 # Not on the way from pixels to a digest.
 EXEMPT = {
     "hickory_stream/geometry/display.py": "where a viewer looks first, and its colours of features",
+    "hickory_stream/poses/visual_motion.py": "poses of odometry, which the journal records, as those of its libraries",
     "players/doctor/depth_bias.py": "what `doctor` says of the depth camera",
     "players/doctor/depth_color_alignment.py": "what `doctor` says of a calibration",
     "players/doctor/depth_noise.py": "what `doctor` says of the depth camera",

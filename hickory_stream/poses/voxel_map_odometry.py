@@ -25,6 +25,7 @@ from hickory_stream.geometry.rigid import (
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, surfels_of, without_degenerate
 from hickory_stream.poses.odometry_config import OdometryConfig, Sensor, config_of, typical_range_m
+from hickory_stream.poses.surface_alignment import solved
 from hickory_stream.records import Scan
 
 Matrix = NDArray[np.float64]
@@ -96,6 +97,9 @@ def deskewed(points: NDArray[np.float32], times_s: NDArray[np.float32], velocity
 # So many neighbouring points err alike: the share of the Hessian that counts as independent evidence.
 _CORRELATED = 50.0
 _CLEAR_EVERY = 10
+_NOTHING = 1e-6
+# A direction that features determine to this is not degenerate.
+_KNOWN_M, _KNOWN_RAD = 0.02, 0.01
 # One of so many points is tested for degenerate directions, with so many around it.
 _TESTED_EVERY, _TESTED_NEIGHBORS = 8, 25
 
@@ -113,8 +117,14 @@ class VoxelMapOdometry:
         """The name by which `--odometry` chooses it."""
         return "small_gicp"
 
-    def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
-        """Return the pose of the scan, or the reason why it has none; then the map does not change."""
+    def register(
+        self, scan: Scan, last_from_scan: Matrix | None = None, measured: Matrix | None = None
+    ) -> Registered | NotRegistered:
+        """Return the pose of the scan, or the reason why it has none; then the map does not change.
+
+        `measured` (6, 6): the information of `last_from_scan` in the scan's frame, if another sensor measured it. A
+        registration that is far from there does not count.
+        """
         predicted = self._predicted(scan, last_from_scan)
         if len(scan.points) < self._config.least_points:
             return NotRegistered(reason=f"{len(scan.points)} points; expected {self._config.least_points} and more")
@@ -122,15 +132,23 @@ class VoxelMapOdometry:
             return self._begin(scan)
         cloud, surfels = self._cloud(scan, predicted)
         found = self._aligned(cloud, predicted)
-        reason = self._why_not(cloud, found, predicted)
-        if reason is not None:
-            return NotRegistered(reason=reason)
+        reason = self._why_not(cloud, found) or self._why_too_far(found, predicted)
+        # A registration may slide away from a measured pose at which the scan lies on the map.
+        is_off = reason is not None and measured is not None
+        against = self._why_not(cloud, self._aligned(cloud, predicted, 1)) if is_off else reason
+        if against is not None:
+            return NotRegistered(reason=against)
         limits = {"strong_cosine": self._config.strong_cosine, "least_strong": self._config.least_strong}
-        degenerate = degenerate_directions(surfels, **limits)
-        start_from_sensor = without_degenerate(_rigid(found.T_target_source), predicted, degenerate)
+        degenerate = degenerate_directions(surfels, **limits) if reason is None else np.eye(6)
+        information = _information(found, degenerate) if reason is None else np.zeros((6, 6))
+        registered = _rigid(found.T_target_source) if reason is None else predicted
+        start_from_sensor = without_degenerate(registered, predicted, degenerate)
+        if measured is not None:
+            start_from_sensor = joined(predicted, measured, registered, information)
+            information = information + measured
+            degenerate = np.array([each for each in degenerate if not _is_known(each, measured)]).reshape(-1, 6)
         self._map.insert(cloud, start_from_sensor)
         self._motion.add(scan.stamp_ns, start_from_sensor)
-        information = _information(found, degenerate)
         result = {"start_from_sensor": start_from_sensor, "information": information, "degenerate": degenerate}
         return Registered(stamp_ns=scan.stamp_ns, **result)
 
@@ -170,7 +188,7 @@ class VoxelMapOdometry:
         small_gicp.estimate_normals_covariances(thin, tree, self._config.num_neighbors, 1)
         return thin, surfels
 
-    def _aligned(self, cloud: Any, predicted: NDArray[np.float64]) -> Any:
+    def _aligned(self, cloud: Any, predicted: Matrix, max_iterations: int | None = None) -> Any:
         import small_gicp
 
         return small_gicp.align(
@@ -179,23 +197,41 @@ class VoxelMapOdometry:
             init_T_target_source=predicted,
             max_correspondence_distance=self._config.gate_m,
             num_threads=1,
-            max_iterations=self._config.max_iterations,
+            max_iterations=max_iterations or self._config.max_iterations,
         )
 
-    def _why_not(self, cloud: Any, found: Any, predicted: NDArray[np.float64]) -> str | None:
-        # Why a result is not to be believed, None where it is.
+    def _why_not(self, cloud: Any, found: Any) -> str | None:
+        # Why a scan cannot be placed, None where it can.
         config = self._config
         if cloud.size() < config.least_points:
             return f"{cloud.size()} points after thinning out; expected {config.least_points} and more"
         share = found.num_inliers / cloud.size()
         if not share >= config.least_share:
             return f"{share:.0%} of the points lie on the map; expected {config.least_share:.0%} and more"
+        return None
+
+    def _why_too_far(self, found: Any, predicted: Matrix) -> str | None:
+        config = self._config
         step = compose(invert(predicted), found.T_target_source)
         moved_m = float(np.sqrt((step[:3, 3] * step[:3, 3]).sum()))
         turned_rad = rotation_angle_rad(step[:3, :3])
         if not (moved_m <= config.jump_m and turned_rad <= config.jump_rad):
             return f"it would be {moved_m:.2f} m and {np.degrees(turned_rad):.0f} degrees from where motion leads"
         return None
+
+
+def joined(measured: Matrix, by_measured: Matrix, registered: Matrix, by_registered: Matrix) -> Matrix:
+    """Return the most likely pose (4, 4) of two, each with its information (6, 6) in the sensor's frame."""
+    step = compose(invert(measured), registered)
+    off = np.concatenate([rotation_vector(step[:3, :3]), step[:3, 3]])
+    total = by_measured + by_registered + _NOTHING * np.eye(6)
+    moved = solved(total, portable.matmul(by_registered, off))
+    return _rigid(compose(measured, from_rotation_translation(rotation_of_vector(moved[:3]), moved[3:])))
+
+
+def _is_known(direction: NDArray[np.float64], information: Matrix) -> bool:
+    spread = _KNOWN_RAD if np.abs(direction[:3]).any() else _KNOWN_M
+    return portable.dot(direction, portable.matmul(information, direction)) >= 1.0 / (spread * spread)
 
 
 def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

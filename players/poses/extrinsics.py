@@ -13,8 +13,7 @@ import numpy as np
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.ports import NotRegistered
-from hickory_stream.poses.choose import make_odometry
-from hickory_stream.poses.depth_scan import scan_of_depth
+from hickory_stream.poses.camera_odometry import CameraOdometry
 from hickory_stream.poses.hand_eye import HandEye, NoHandEye, hand_eye
 from players.poses.camera_poses import body_from_camera_of, with_extrinsics
 
@@ -45,7 +44,7 @@ def estimated_extrinsics(source: LogSource, most_frames: int = _MAX_FRAMES) -> H
         return NoHandEye(reason="the poses of the log are not those of one body")
     assumed = body_from_camera_of(plan)
     bodies = source.with_plan(replace(plan, links=()))
-    odometry = make_odometry("depth")
+    odometry = CameraOdometry()
     track: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
     num_seen = 0
     last_ns: int | None = None
@@ -57,7 +56,7 @@ def estimated_extrinsics(source: LogSource, most_frames: int = _MAX_FRAMES) -> H
         if num_seen > most_frames:
             break
         try:
-            found = odometry.register(scan_of_depth(raw.decode()))
+            found = odometry.register(raw.decode())
         except RecordingError:
             continue
         if not isinstance(found, NotRegistered) and not len(found.degenerate):

@@ -17,9 +17,10 @@ import numpy as np
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert, no_directions, turned_directions
 from hickory_stream.ports import NotRegistered, Registered, Source, SourceAround
+from hickory_stream.poses.camera_odometry import CameraOdometry
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
-from hickory_stream.poses.upright import up_in
+from hickory_stream.poses.upright import LevelledPoses, up_in
 from players.logs.log_source import LogSource
 from players.poses.interpolation import row_of_pose, world_from_down
 from players.poses.tf import FrameTree
@@ -116,7 +117,7 @@ class OdometrySource(SourceAround):
             yield raw, world_from_camera, degenerate, decoded
 
     def _by_depth(self, counts: Counter[str]) -> Iterator[_Posed]:
-        odometry = make_odometry("depth", self._method)
+        odometry, levelled = CameraOdometry(self._method), LevelledPoses()
         results = _Results(counts, "depth")
         world_from_start: NDArray[np.float64] | None = None
         before: NDArray[np.float64] | None = None
@@ -126,16 +127,16 @@ class OdometrySource(SourceAround):
             except RecordingError:
                 counts["odometry_unreadable"] += 1
                 continue
-            scan = scan_of_depth(frame)
             step = compose(invert(before), raw.world_from_camera) if before is not None and raw.is_posed else None
-            found = results.add(odometry.register(scan, step), scan)
+            found = results.add(odometry.register(frame, step), raw.stamp_ns)
             if found is None:
                 counts["odometry_lost"] += 1
                 continue
             before = raw.world_from_camera if raw.is_posed and self._predicts else None
             if world_from_start is None:
-                world_from_start = self._world_from_first(raw, scan)
-            yield raw, compose(world_from_start, found.start_from_sensor), found.degenerate, frame
+                world_from_start = self._world_from_first(raw, scan_of_depth(frame))
+            pose = levelled.placed(world_from_start, found.start_from_sensor, scan_of_depth(frame))
+            yield raw, pose, found.degenerate, frame
 
     def _by_lidar(self, counts: Counter[str]) -> Iterator[_Posed]:
         # Poses are interpolated between sweeps; the log's poses predict the motion of a sweep.
@@ -155,7 +156,7 @@ class OdometrySource(SourceAround):
             nonlocal sweep, last_ns, degenerate
             while sweep is not None and (until_ns is None or sweep.stamp_ns <= until_ns):
                 step = _step(known, last_ns, sweep.stamp_ns, camera_from_lidar)
-                found = results.add(odometry.register(sweep, step), sweep)
+                found = results.add(odometry.register(sweep, step), sweep.stamp_ns)
                 if found is not None:
                     track.add(sweep.stamp_ns, row_of_pose(found.start_from_sensor))
                     last_ns = sweep.stamp_ns
@@ -205,15 +206,15 @@ class _Results:
         self._name = name
         self._is_lost = False
 
-    def add(self, found: Registered | NotRegistered, scan: Scan) -> Registered | None:
+    def add(self, found: Registered | NotRegistered, stamp_ns: int) -> Registered | None:
         if isinstance(found, NotRegistered):
             if not self._is_lost:
-                logger.warning("odometry by %s is lost at %.3f s: %s", self._name, scan.stamp_ns / 1e9, found.reason)
+                logger.warning("odometry by %s is lost at %.3f s: %s", self._name, stamp_ns / 1e9, found.reason)
             self._is_lost = True
             self._counts["odometry_scans_lost"] += 1
             return None
         if self._is_lost:
-            logger.warning("odometry by %s goes on at %.3f s", self._name, scan.stamp_ns / 1e9)
+            logger.warning("odometry by %s goes on at %.3f s", self._name, stamp_ns / 1e9)
         self._is_lost = False
         self._counts["odometry_scans"] += 1
         self._counts["odometry_degenerate"] += len(found.degenerate) > 0

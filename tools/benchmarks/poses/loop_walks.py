@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, SceneSource, cast_scene
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import LoopsSearched
+from hickory_stream.events import KeyframeKeptOut, LoopsSearched
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.trajectory import Trajectory
@@ -22,7 +22,8 @@ from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import wilson
 from tools.benchmarks.common.processes import NO_SHAPES
-from tools.benchmarks.poses.drift_logs import drift_of
+from tools.benchmarks.poses.drift_logs import Poses, drift_of
+from tools.benchmarks.poses.loops import is_near
 from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.drift import drifted
 
@@ -31,7 +32,6 @@ _NUM_ROOMS, _PITCH_M, _DEPTH_M, _WALL_M, _HIGH_M = 4, 4.1, 3.2, 0.1, 2.4
 _DOOR_M = (1.1, 2.1)
 _EYE_M, _DOWN = 1.3, 0.25
 _STEP_M, _STEP_RAD = 0.3, np.radians(20.0)
-_WRONG_M, _WRONG_RAD = 0.3, 0.1
 _NUM_WALKS, _QUICK_WALKS = 8, 2
 _CONFIG = (NO_SHAPES, "journal.keep_images=false", "mapping.submaps.travel_m=5")
 
@@ -48,11 +48,12 @@ class Walk:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Closed:
-    """The loops of a run: those that its graph accepts, right and wrong, and the rejected ones."""
+    """The loops of a run: those that its graph accepts, right and wrong, the rejected ones; keyframes kept out."""
 
     right: int
     wrong: int
     rejected: int
+    kept_out: int
 
 
 def walk_figures(options: Options) -> list[Figure]:
@@ -82,24 +83,27 @@ def _closed(walk: Walk) -> Closed:
         odometry = {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.odometry)}
         moved = MovedSource(_Cast(walk), lambda raw: odometry[raw.stamp_ns])
         play_into(out, moved, read_config(MapperConfig, None, _CONFIG))
-        graph = open_map(out).snapshot.graph
-        with Journal(out) as journal:
-            events = [event for entry in journal.entries() for event in entry.events]
+        return closed_loops(out, {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.true)})
+
+
+def closed_loops(out: Path, true: Poses) -> Closed:
+    """Return the loops of a map, compared with the true poses of its log."""
+    graph = open_map(out).snapshot.graph
+    with Journal(out) as journal:
+        events = [event for entry in journal.entries() for event in entry.events]
+    kept_out = sum(isinstance(event, KeyframeKeptOut) for event in events)
     if graph is None:
-        return Closed(right=0, wrong=0, rejected=0)
+        return Closed(right=0, wrong=0, rejected=0, kept_out=kept_out)
     loops = {(o.earlier, o.later): o for e in events if isinstance(e, LoopsSearched) for o in e.loops}
-    true = {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.true)}
     anchors = {node.submap_id: (node.uncorrected, true[node.stamp_ns]) for node in graph.nodes}
     is_right = []
     for edge in graph.loops:
         if edge.status == "accepted":
             (a, true_a), (b, true_b) = anchors[edge.earlier], anchors[edge.later]
             found = compose(invert(a), loops[edge.earlier, edge.later].earlier_from_later, b)
-            step = compose(invert(found), compose(invert(true_a), true_b))
-            is_near = bool(np.linalg.norm(step[:3, 3]) < _WRONG_M)
-            is_right.append(is_near and rotation_angle_rad(step[:3, :3]) < _WRONG_RAD)
-    right = sum(is_right)
-    return Closed(right=right, wrong=len(is_right) - right, rejected=len(graph.loops) - len(is_right))
+            is_right.append(is_near(compose(invert(found), invert(true_a), true_b)))
+    right, rejected = sum(is_right), len(graph.loops) - len(is_right)
+    return Closed(right=right, wrong=len(is_right) - right, rejected=rejected, kept_out=kept_out)
 
 
 def _walk(seed: int, number: int) -> Walk:

@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from hickory_stream.graph.config import GraphConfig
@@ -64,8 +65,11 @@ def _is_right(loop: Loop, rooms: list[SeenRoom]) -> bool:
     earlier, later = rooms[loop.earlier], rooms[loop.later]
     true = earlier.odometry_from_world @ invert(later.odometry_from_world)
     step = invert(true @ later.anchor) @ (loop.earlier_from_later @ later.anchor)
-    is_near = float(np.linalg.norm(step[:3, 3])) < _WRONG_M and rotation_angle_rad(step[:3, :3]) < _WRONG_RAD
-    return earlier.room == later.room and is_near
+    return earlier.room == later.room and is_near(step)
+
+
+def is_near(step: NDArray[np.float64]) -> bool:
+    return float(np.linalg.norm(step[:3, 3])) < _WRONG_M and rotation_angle_rad(step[:3, :3]) < _WRONG_RAD
 
 
 def _surveyed(submap_id: int, room: SeenRoom) -> SurveyedSubmap:

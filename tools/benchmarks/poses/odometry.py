@@ -1,25 +1,22 @@
 """Poses: odometry against truth, corridors without features along them, extrinsics of cameras, and fleets."""
 # Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; without it there is no figure of it.
 
-import os
 import tempfile
-import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.trajectory_error import TrajectoryError, trajectory_error
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.ports import Registered
 from hickory_stream.poses.choose import make_odometry
-from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.hand_eye import HandEye
-from hickory_stream.poses.odometry_config import MethodName, Sensor
+from hickory_stream.poses.odometry_config import MethodName
 from hickory_stream.records import Scan
 from hickory_stream.worlds.recording import make_recording
 from players import open_source
@@ -27,12 +24,13 @@ from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_extrinsics
 from tools.benchmarks.alignment.covariance import square_figures
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import DEMO, ROOT
+from tools.benchmarks.common.processes import DEMO
 from tools.benchmarks.poses.drift import drift_figures, registration_figures
 from tools.benchmarks.poses.fleets import fleet_figures
 from tools.benchmarks.poses.loop_walks import walk_figures
 from tools.benchmarks.poses.loops import loop_figures
 from tools.benchmarks.poses.pose_graphs import graph_figures
+from tools.benchmarks.poses.real import data_folder, estimated, real_figures
 from tools.worlds.cache import cached_recording
 from tools.worlds.corridor import CorridorConfig, corridor_scans
 from tools.worlds.layouts import drawn_mounting
@@ -49,70 +47,43 @@ _EXTRINSICS_SEEDS = (7, 8, 9)
 _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
     "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)], "fleet": fleet_figures,
     "graph": graph_figures, "loops": loop_figures, "squares": square_figures, "walks": walk_figures,
+    "real": real_figures,
 }  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Walked:
-    error: TrajectoryError
-    end_error_m: float
-    num_scans: int
-    num_degenerate: int
-    ms: float
-    poses: NDArray[np.float64]
-
-    @property
-    def drift(self) -> float:
-        return self.error.ate_m / self.error.way_m
 
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
     # `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
-    # alike, logs whose odometry has `drift`, or `squares`, the calibration of alignment on whole maps.
+    # alike, logs whose odometry has `drift`, `real` walks, or `squares`, the calibration of alignment on whole maps.
     if len(options.only) == 1 and options.only[0] in _PARTS:
         return _PARTS[options.only[0]](options)
     quick = options.quick
-    figures = graph_figures(options)
-    data = Path(os.environ.get("HICKORY_DATA") or ROOT.parent / "shared" / "data")
-    if (data / "redkitchen").is_dir():
-        figures += _kitchen(list(_frames(data / "redkitchen")), quick=quick)
+    figures = [*graph_figures(options), *real_figures(options)]
     logs = [DEMO] if quick else [cached_recording(config)[0] for config in _WORLDS]
-    rooms = [_walk("depth", _frames(log)) for log in logs]
+    rooms = [estimated(log) for log in logs]
     of = f"of {len(rooms)} worlds, the worst; exact truth"
-    figures.append(figure("depth_way_fraction", max(room.drift for room in rooms), "", "lower", of))
+    figures.append(figure("depth_way_fraction", max(room["drift"] for room in rooms), "", "lower", of))
     if not quick:
-        kiss = max(_walk("depth", _frames(log), "kiss-icp").drift for log in logs)
+        kiss = max(estimated(log, "kiss-icp")["drift"] for log in logs)
         figures.append(figure("depth_way_fraction_kiss_icp", kiss, "", "lower", of))
-    ms = np.mean([room.ms for room in rooms])
-    figures.append(figure("depth_odometry_ms", ms, "ms", "lower", "processor time of a depth frame"))
+    ms, of = np.mean([room["ms"] for room in rooms]), "processor time of a depth frame, with its decoding"
+    figures.append(figure("depth_odometry_ms", ms, "ms", "lower", of))
     figures += registration_figures(logs[0])
-    again = _walk("depth", _frames(logs[0]))
-    figures.append(figure("poses_identical", again.poses.tobytes() == rooms[0].poses.tobytes()))
+    figures.append(figure("poses_identical", estimated(logs[0])["digest"] == rooms[0]["digest"]))
     figures += _corridors(rooms, quick=quick)
-    if (data / "kitti_lidar").is_dir():
+    if ((data := data_folder()) / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
     figures += [*loop_figures(options), *fleet_figures(options)]
     return figures if quick else [*figures, *_extrinsics(), *walk_figures(options), *drift_figures(options)]
 
 
-def _kitchen(kitchen: list[Posed], *, quick: bool) -> list[Figure]:
-    own = _walk("depth", kitchen)
-    of = f"redkitchen, {own.num_scans} frames, {own.error.way_m:.1f} m"
-    figures = [figure("depth_odometry_ate_m", own.error.ate_m, "m", "lower", of)]
-    if not quick:
-        kiss = _walk("depth", kitchen, "kiss-icp")
-        figures.append(figure("depth_kiss_icp_ate_m", kiss.error.ate_m, "m", "lower"))
-    return figures
-
-
-def _corridors(rooms: list[_Walked], *, quick: bool) -> list[Figure]:
+def _corridors(rooms: list[dict[str, Any]], *, quick: bool) -> list[Figure]:
     short: dict[str, Any] = {"way_m": 6.0, "columns": 360} if quick else {}
     ended, endless = (corridor_scans(replace(config, **short), 1) for config in (_ENDED, _ENDLESS))
-    own, blind = _walk("lidar", ended), _walk("lidar", endless)
-    led = _walk("lidar", endless, is_led=True)
-    rooms = [*rooms, _walk("lidar", corridor_scans(_ROOM, 1))]
-    false = sum(room.num_degenerate for room in rooms) / sum(room.num_scans for room in rooms)
+    own, blind, led = _walk(ended), _walk(endless), _walk(endless, is_led=True)
+    room = _walk(corridor_scans(_ROOM, 1))
+    num_degenerate = room.num_degenerate + sum(each["degenerate"] for each in rooms)
+    false = num_degenerate / (room.num_scans + sum(each["frames"] for each in rooms))
     declared, of = blind.num_degenerate / blind.num_scans, "scans of a corridor without ends"
     figures = [
         figure("corridor_end_error_m", own.end_error_m, "m", "lower", "its ends in reach"),
@@ -121,7 +92,7 @@ def _corridors(rooms: list[_Walked], *, quick: bool) -> list[Figure]:
         figure("degenerate_false_fraction", false, "", "lower", "scans of rooms"),
     ]
     if not quick:
-        kiss = _walk("lidar", ended, "kiss-icp")
+        kiss = _walk(ended, "kiss-icp")
         figures.append(figure("corridor_kiss_icp_end_error_m", kiss.end_error_m, "m", "lower"))
     return figures
 
@@ -167,37 +138,20 @@ def _extrinsics() -> list[Figure]:
     ]
 
 
-def _frames(log: Path) -> Iterator[Posed]:
-    source = open_source(log)
-    for raw in source.frames():
-        yield scan_of_depth(raw.decode()), raw.world_from_camera
-    source.close()
-
-
-def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> _Walked:
-    odometry = make_odometry(sensor, method)
-    stamps_ns: list[int] = []
-    poses: list[NDArray[np.float64]] = []
-    true: list[NDArray[np.float64]] = []
-    num_scans, num_degenerate, spent_s = 0, 0, 0.0
+def _walk(walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> SimpleNamespace:
+    odometry, before, start = make_odometry("lidar", method), None, None
+    num_scans = num_degenerate = 0
     for scan, world_from_sensor in walk:
-        step = compose(invert(true[-1]), world_from_sensor) if is_led and true else None
-        started_s = time.process_time()
+        step = compose(invert(before), world_from_sensor) if is_led and before is not None else None
         found = odometry.register(scan, step)
-        spent_s += time.process_time() - started_s
         num_scans += 1
         if isinstance(found, Registered):
             num_degenerate += len(found.degenerate) > 0
-            stamps_ns.append(scan.stamp_ns)
-            poses.append(found.start_from_sensor)
-            true.append(world_from_sensor)
-    estimated, truth = np.array(poses), np.array(true)
-    moved = compose(invert(truth[0]), truth[-1])
-    return _Walked(
-        error=trajectory_error(stamps_ns, estimated, stamps_ns, truth),
-        end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])), num_scans=num_scans,
-        num_degenerate=num_degenerate, ms=1e3 * spent_s / num_scans, poses=estimated,
-    )  # fmt: skip
+            before, last = world_from_sensor, found.start_from_sensor
+            start = start if start is not None else before
+    moved = compose(invert(start), before)
+    end_error_m = float(np.linalg.norm(last[:3, 3] - moved[:3, 3]))
+    return SimpleNamespace(end_error_m=end_error_m, num_scans=num_scans, num_degenerate=num_degenerate)
 
 
 def _points_of(file: Path) -> NDArray[np.float32]:

@@ -1,0 +1,66 @@
+from dataclasses import replace
+import cv2
+import numpy as np
+import pytest
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.ports import NotRegistered, Registered
+from hickory_stream.poses.camera_odometry import CameraOdometry
+from hickory_stream.records import Frame
+
+CAMERA = Camera(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
+WALL_M, PX_PER_M = 2.0, 130.0
+
+
+@pytest.fixture(scope="module")
+def picture():
+    """A painted wall of 8 by 4 metres, a pixel of it for a pixel of an image."""
+    blots = np.random.default_rng(3).integers(0, 255, (65, 130, 3)).astype(np.uint8)
+    return cv2.resize(blots, (int(8 * PX_PER_M), int(4 * PX_PER_M)), interpolation=cv2.INTER_CUBIC)
+
+
+def before_wall(index, x_m, picture=None):
+    """A camera at `x_m` along a bare or a painted wall."""
+    pose, depth_m = np.eye(4), np.full((CAMERA.height, CAMERA.width), WALL_M, np.float32)
+    pose[0, 3] = x_m
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8)
+    if picture is not None:
+        shift = np.array([[1, 0, -PX_PER_M * (x_m + 0.5)], [0, 1, -60]])
+        rgb = cv2.warpAffine(picture, shift, (CAMERA.width, CAMERA.height))
+    return Frame(
+        index=index, stamp_ns=index * 200_000_000, rgb=rgb, depth_m=depth_m, camera=CAMERA, world_from_camera=pose
+    )
+
+
+def sideways(found):
+    assert isinstance(found, Registered)
+    return found.start_from_sensor[0, 3]
+
+
+def test_colour_moves_along_a_wall_where_depth_slides(picture):
+    by_both, by_depth = CameraOdometry(), CameraOdometry()
+    steps = [0.02 * i * i for i in range(8)]
+    both = [by_both.register(before_wall(i, x_m, picture)) for i, x_m in enumerate(steps)]
+    bare = [by_depth.register(before_wall(i, x_m)) for i, x_m in enumerate(steps)]
+    np.testing.assert_allclose([sideways(each) for each in both], steps, atol=0.01)
+    assert [len(each.degenerate) for each in both] == [0] * len(steps)
+    assert abs(sideways(bare[-1])) < 0.1, "constant velocity from a stand"
+    assert len(bare[-1].degenerate) == 3, "two shifts and a turn"
+
+
+def test_a_lost_camera_finds_its_place_in_its_own_map(picture):
+    odometry = CameraOdometry()
+    for i in range(12):
+        odometry.register(before_wall(i, 0.2 * i, picture))
+    dark = before_wall(12, 2.2)
+    blank = odometry.register(replace(dark, depth_m=np.full_like(dark.depth_m, np.nan)))
+    assert isinstance(blank, NotRegistered)
+    again = odometry.register(before_wall(13, 0.35, picture))
+    assert abs(sideways(again) - 0.35) < 0.02
+
+
+def test_another_wall_is_no_known_place(picture):
+    odometry = CameraOdometry()
+    odometry.register(before_wall(0, 0.0, picture))
+    other = before_wall(1, 0.0, picture[::-1, ::-1])
+    found = odometry.register(other)
+    assert isinstance(found, NotRegistered) or len(found.degenerate) == 3
