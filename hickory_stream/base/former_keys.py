@@ -19,6 +19,7 @@ _KINDS = "what is large, or a part of the room, is a fixture of the map"
 _EXISTENCE = "new_view_gain same_view_gain min_gain fresh again least apart_rad apart_ratio full_sr".split()
 _TIME = "time of observation counts now, by"
 _SENSOR = "the range is that of the camera, sensor.max_m"
+_MASKS = "masks are evidence for joining fragments, whose limits are in perception.geometric"
 _SEEN = "what is filled follows from what was seen around it"
 
 FORMER_KEYS = {
@@ -54,7 +55,7 @@ FORMER_KEYS = {
     "perception.geometric.hidden_share": "its number is fixed now",
     "perception.geometric.structure.relief": "its numbers are fixed now",
     "perception.geometric.join.hidden": "its numbers are fixed now",
-    "perception.masks.hidden_share": "its number is fixed now",
+    **dict.fromkeys((f"perception.masks.{name}" for name in ("hidden_share", "min_area_px", "max_extent_m")), _MASKS),
     "mapping.parts": "set mapping.split",
     "mapping.floating": "its numbers are fixed now",
     "mapping.lifecycle.structure_m": _KINDS,
@@ -100,7 +101,7 @@ perception.geometric min_side_sigmas=2.5 occluded_area_px=720 occluded_share=0.6
     support_area_px=60
 perception.semantic.panoptic mask_threshold=0.5 overlap=0.3
 perception.masks max_share=0.6 structure_share=0.5 duplicate_iou=0.8 inside_share=0.85 stands_out_m=0.008
-    flat_area_m2=0.008 visible_share=0.25 occluded_share=0.6
+    flat_area_m2=0.008 visible_share=0.25 occluded_share=0.6 min_area_px=240 max_extent_m=4
 perception.observe agree_sigmas=3 min_neighbors=5 min_returns=24 min_points=12
 mapping.track sketch_growth=0.3
 mapping.associate settled_sightings=5 swollen_over=0.5 most_doubted=4 patience=3 patience_share=0.2 lies_in=0.2

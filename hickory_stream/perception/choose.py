@@ -9,6 +9,7 @@ from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
 from hickory_stream.perception.models.fastsam import MaskNetwork
 from hickory_stream.perception.models.library import Kind, ModelEntry
 from hickory_stream.perception.models.network import Network
+from hickory_stream.perception.network_segmenter import NetworkSegmenter
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.semantic_filter import FilteredSegmenter
 from hickory_stream.ports import FeatureExtractor, Segmenter
@@ -61,10 +62,7 @@ def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
         case "geometric":
             return GeometricSegmenter(config.geometric)
         case "network":
-            from hickory_stream.perception.affinity.pixel_network import PixelNetwork
-            from hickory_stream.perception.network_segmenter import NetworkSegmenter
-
-            return NetworkSegmenter(PixelNetwork(), config.affinities, config.geometric)
+            return _own_network(config)
         case "fastsam":
             from hickory_stream.perception.models.fastsam import FastSam
 
@@ -82,5 +80,10 @@ def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
 def _of_masks(config: PerceptionConfig, network: MaskNetwork) -> Segmenter:
     from hickory_stream.perception.models.fastsam import FastSamSegmenter
 
-    geometric = config.geometric
-    return FastSamSegmenter(network, masks=config.masks, surface=geometric.surface, structure=geometric.structure)
+    return FastSamSegmenter(network, _own_network(config))
+
+
+def _own_network(config: PerceptionConfig) -> NetworkSegmenter:
+    from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+
+    return NetworkSegmenter(PixelNetwork(), config.affinities, config.geometric)

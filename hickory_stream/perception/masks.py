@@ -1,7 +1,8 @@
-"""Labels of a frame's instances: bounds, outlines behind nearer surfaces, and their size in the image."""
+"""Masks of a frame: overlapping ones as networks give them, and label images with what is measured on them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.geometry.arrays import read_only
+from hickory_stream.geometry.arrays import freeze, read_only
 
 
 def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
@@ -29,6 +30,19 @@ def _fill_boxes(labels, boxes):
                     boxes[i, 0], boxes[i, 1] = x, y
                 boxes[i, 0], boxes[i, 2] = min(boxes[i, 0], x), max(boxes[i, 2], x + 1)
                 boxes[i, 3] = y + 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class InstanceMask:
+    """A mask that may overlap others: `mask` (h, w) bool within `box_px` = (x0, y0, x1, y1), ends exclusive."""
+
+    box_px: tuple[int, int, int, int]
+    mask: NDArray[np.bool_]
+    score: float = 1.0
+
+    def __post_init__(self) -> None:
+        x0, y0, x1, y1 = self.box_px
+        freeze(self, "mask", np.bool_, (y1 - y0, x1 - x0))
 
 
 def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:

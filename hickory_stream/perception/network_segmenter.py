@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.errors import ModelError
 from hickory_stream.perception.affinity.pixel_network import ODDS_ZERO, THING, PixelNetwork, PixelOdds
 from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.masks import InstanceMask
 from hickory_stream.perception.regions.fragment_odds import fragment_odds, mean_log_odds
 from hickory_stream.perception.regions.join import Joined, join_fragments
 from hickory_stream.perception.regions.map_prior import fragment_owners
+from hickory_stream.perception.regions.mask_evidence import divided_by_masks, evidence_of, sampled_masks
 from hickory_stream.perception.regions.trees import Trees, embedded_trees
 from hickory_stream.perception.surface import Surface, moved_surface
 from hickory_stream.records import Frame, MapPrior, Segmentation
@@ -71,11 +75,24 @@ class NetworkSegmenter:
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the map so far."""
+        return self.segment_with((), frame, prior, prepared)
+
+    def segment_with(
+        self, masks: Sequence[InstanceMask], frame: Frame, prior: MapPrior | None = None, prepared: object = None
+    ) -> Segmentation:
+        """Return what `segment` does, with masks of another network as evidence; raises `ModelError`."""
+        width, height = frame.camera.width, frame.camera.height
+        if any(min(m.box_px[:2]) < 0 or m.box_px[2] > width or m.box_px[3] > height for m in masks):
+            raise ModelError(f"a mask ends beyond the frame of {width}x{height}: masks must have the size of the frame")
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
-        pieces = self.fragments(frame, prior, found)
+        pieces, evidence = self.fragments(frame, prior, found), None
+        if masks:
+            few = sampled_masks(masks, found.surface.factor, pieces.labels.shape)
+            pieces = replace(pieces, labels=divided_by_masks(pieces.labels, few))
+            evidence = evidence_of(few, pieces.labels)
         owners = fragment_owners(pieces.labels, pieces.surface, prior, self._join.map_prior)
         odds = fragment_odds(pieces.labels, found.odds)
-        joined = join_fragments(pieces, self._trees, self._join, owners, odds)
+        joined = join_fragments(pieces, self._trees, self._join, owners, odds, evidence)
         structure_odds = self._config.structure_shift - thing_log_odds(joined.labels, found.odds)
         return self._geometric.segmentation(frame, pieces, joined, structure_odds)
 

@@ -16,7 +16,6 @@ from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric_segmenter import GeometricConfig
 from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
-from hickory_stream.perception.models.mask_pipeline import MaskConfig
 from hickory_stream.perception.models.network import NetworkConfig
 from hickory_stream.perception.models.sam import SamConfig
 from hickory_stream.perception.models.semantic_graph import SemanticConfig
@@ -57,7 +56,6 @@ class PerceptionConfig:
     sam: SamConfig = field(default_factory=SamConfig)
     dinov2: DinoConfig = field(default_factory=DinoConfig)
     semantic: SemanticConfig = field(default_factory=SemanticConfig)
-    masks: MaskConfig = field(default_factory=MaskConfig)
     observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
 

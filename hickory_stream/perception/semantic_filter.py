@@ -1,6 +1,8 @@
-"""Filtering of any segmenter's masks by a semantic model: masks of walls and people are rejected.
+"""Classes of pixels as evidence, for any segmenter: of the room for the map, of what moves by itself for a frame.
 
-The filter never adds objects. Pixels of structure classes outside of the remaining masks become structure.
+A class is wrong at outlines, and for whole regions now and then. Pixels of structure classes are votes for structure in
+the observed space: a thing is part of the room where most votes on its surface, over views, say so
+(`mapping.rules.fixtures`). Only masks of what moves by itself are rejected at once: its places do not add up.
 """
 
 from __future__ import annotations
@@ -32,11 +34,11 @@ DYNAMIC = ("person", "animal", "car", "dog", "cat", "bicycle", "bike", "motorbik
 class FilterConfig(Ranged):
     """Which classes are excluded as objects."""
 
-    #: Names of classes that are part of the room; their pixels become structure.
+    #: Names of classes that are part of the room; their pixels are votes for structure.
     structure: tuple[str, ...] = STRUCTURE
     #: Names of classes that move by themselves; their pixels are neither object nor structure.
     dynamic: tuple[str, ...] = DYNAMIC
-    #: A mask with at least this share on one of these classes is rejected.
+    #: A mask with at least this share on a class that moves by itself is rejected.
     share: float = number(0.3, 0.001, 1, "share")
     #: So is a mask whose IoU with all pixels of such a class is at least this.
     iou: float = number(0.3, 0.001, 1, "IoU")
@@ -99,12 +101,12 @@ def excluded_classes(labels: tuple[str, ...], config: FilterConfig) -> ExcludedC
 def without_classes(
     segmentation: Segmentation, semantics: SemanticImage, excluded: ExcludedClasses, config: FilterConfig
 ) -> Segmentation:
-    """Return a segmentation without the instances on excluded classes; the class is the reason."""
+    """Return a segmentation with its votes for structure, without instances on classes that move by themselves."""
     instances = segmentation.instances.copy()
     rejected = list(segmentation.rejected)
     count = len(semantics.labels)
     is_excluded = np.zeros(count + 1, dtype=bool)
-    is_excluded[sorted(excluded.structure | excluded.dynamic)] = True
+    is_excluded[sorted(excluded.dynamic)] = True
     totals = np.bincount(semantics.classes.ravel() + 1, minlength=count + 1)[1:]
     for i, place in enumerate(find_objects(segmentation.instances)):
         if place is None:
@@ -119,13 +121,12 @@ def without_classes(
             instances[place][mask] = 0
     is_structure = np.isin(semantics.classes, sorted(excluded.structure))
     is_dynamic = np.isin(semantics.classes, sorted(excluded.dynamic))
-    is_other = is_dynamic | (instances > 0)
     labels = np.unique(instances)
     return replace(
         segmentation,
         instances=np.searchsorted(np.union1d(labels, [0]), instances).astype(np.int32),
-        structure=(segmentation.structure | is_structure) & ~is_other,
-        structure_shown=(segmentation.own_structure | is_structure) & ~is_other,
+        structure=(segmentation.structure | is_structure) & ~is_dynamic & (instances == 0),
+        structure_shown=(segmentation.own_structure | is_structure) & ~is_dynamic,
         rejected=tuple(rejected),
     )
 

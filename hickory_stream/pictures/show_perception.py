@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.models.mask_pipeline import InstanceMask
+    from hickory_stream.perception.masks import InstanceMask
     from hickory_stream.records import RejectedMask, Segmentation, SemanticImage
 
 _PANEL_PX = 640

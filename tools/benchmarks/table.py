@@ -48,6 +48,9 @@ BENCHMARKS = {
         whole=MAPS,
     ),
     "perception": Benchmark("perception.frames", "masks of single frames, features, time and memory of layer 1"),
+    "paper_masks": Benchmark(
+        "perception.paper_masks", "maps with simulated networks, by error", (*MAPS, "tools/evaluation/masks")
+    ),
     "rules": Benchmark(
         "perception.constants", "the count of numbers set by hand",
         ("hickory_stream/mapping", "hickory_stream/perception"),

@@ -15,19 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.perception.masks import enlarged_mask
-from hickory_stream.perception.models.mask_pipeline import InstanceMask, MaskConfig, compose
+from hickory_stream.perception.masks import InstanceMask
 from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
-from hickory_stream.perception.structure.detection import StructureConfig
-from hickory_stream.perception.structure.room_structure import room_structure_of
-from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
+from hickory_stream.perception.network_segmenter import NetworkSegmenter
 from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation
 
 logger = logging.getLogger(__name__)
-
-_SUPPORT_AREA_M2 = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,9 +45,9 @@ class FastSamConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Found:
-    """The results of a frame that need no map: its surface, its masks, and the number of non-finite detections."""
+    """The results of a frame that need no map: the base segmenter's, masks, and the number of non-finite detections."""
 
-    surface: Surface
+    base: object
     masks: list[InstanceMask]
     num_not_finite: int
 
@@ -111,50 +106,36 @@ class MaskNetwork(Protocol):
 
 
 class FastSamSegmenter:
-    """A `Segmenter`: instances from the masks of FastSAM or another network, room structure from geometry."""
+    """A `Segmenter`: masks of FastSAM or another network are evidence for joining fragments of a base segmenter."""
 
-    def __init__(
-        self, network: MaskNetwork, *, masks: MaskConfig, surface: SurfaceConfig, structure: StructureConfig
-    ) -> None:
-        self._network, self._masks = network, masks
-        self._surface, self._structure = surface, structure
+    def __init__(self, network: MaskNetwork, base: NetworkSegmenter) -> None:
+        self._network, self._base = network, base
         self._has_warned = False
 
     def prepare(self, frame: Frame) -> Found:
-        """Return the surface and the masks of a frame; raises `ModelError`."""
+        """Return the fragments' inputs and the masks of a frame; raises `ModelError`."""
         masks, num_not_finite = self._network.masks(np.asarray(frame.rgb))
         if num_not_finite and not self._has_warned:
             self._has_warned = True
             text = "the network gave %d detections with NaN or infinity in frame %d; they are left out (said once)"
             logger.warning(text, num_not_finite, frame.index)
-        return Found(surface=surface_of(frame, self._surface), masks=masks, num_not_finite=num_not_finite)
+        return Found(base=self._base.prepare(frame), masks=masks, num_not_finite=num_not_finite)
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
         """Return the result of `prepare` for another pose (4, 4) of the frame; masks do not depend on it."""
         if not isinstance(prepared, Found):
             return None
-        return replace(prepared, surface=moved_surface(prepared.surface, world_from_camera))
+        return replace(prepared, base=self._base.moved(prepared.base, world_from_camera))
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the map so far."""
         found = prepared if isinstance(prepared, Found) else self.prepare(frame)
-        surface = found.surface
-        size = (frame.camera.width, frame.camera.height)
-        space = None if prior is None else prior.space
-        room = room_structure_of(surface, space, self._structure, _SUPPORT_AREA_M2)
-        structure, shown = (enlarged_mask(mask, surface.factor, size) for mask in (room.structure, room.shown))
-        instances, rejected = compose(found.masks, surface, structure, self._masks)
-        if found.num_not_finite:
-            whole = (0, 0, *size)
-            reason = f"{found.num_not_finite} detections of the network are not finite"
-            rejected = (*rejected, RejectedMask(box_px=whole, reason=reason))
-        return Segmentation(
-            instances=instances,
-            structure=structure & (instances == 0),
-            structure_shown=shown & (instances == 0),
-            floor_z_m=room.floor_z_m,
-            rejected=rejected,
-        )
+        segmentation = self._base.segment_with(found.masks, frame, prior, found.base)
+        if not found.num_not_finite:
+            return segmentation
+        reason = f"{found.num_not_finite} detections of the network are not finite"
+        not_finite = RejectedMask(box_px=(0, 0, frame.camera.width, frame.camera.height), reason=reason)
+        return replace(segmentation, rejected=(*segmentation.rejected, not_finite))
 
 
 def _outputs_of(network: Network) -> tuple[int, int]:

@@ -21,7 +21,6 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ModelError
 from hickory_stream.perception.models.library import ModelEntry
-from hickory_stream.perception.models.mask_pipeline import InstanceMask
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import normalised
 from hickory_stream.perception.models.yolo_masks import Taps, suppressed, taps_along

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.perception.models.mask_pipeline import InstanceMask
+from hickory_stream.perception.masks import InstanceMask
 from hickory_stream.perception.models.preprocessing import Letterbox
 
 # Boxes are offset by this distance per class, so that boxes of different classes never suppress each other.

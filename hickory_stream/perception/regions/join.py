@@ -18,6 +18,7 @@ from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.regions.features import joined
 from hickory_stream.perception.regions.fragment_odds import FragmentOdds
 from hickory_stream.perception.regions.map_prior import FragmentOwners, MapPriorConfig
+from hickory_stream.perception.regions.mask_evidence import MaskEvidence
 from hickory_stream.perception.regions.occlusion_bridging import is_bridged
 from hickory_stream.perception.regions.odds_features import odds_features
 from hickory_stream.perception.regions.pair_features import pair_features
@@ -96,17 +97,18 @@ def join_fragments(
     config: JoinConfig,
     owners: FragmentOwners | None = None,
     odds: FragmentOdds | None = None,
+    masks: MaskEvidence | None = None,
 ) -> Joined:
     """Return the fragments joined into instances, with the map prior (`owners`) and without."""
     labels, graph = fragments.labels, region_graph_of(fragments)
     if graph is None:
         return Joined(labels=labels)
-    *_, last = rounds(graph, trees.probabilities, config, odds, owners)
+    *_, last = rounds(graph, trees.probabilities, config, odds, owners, masks=masks)
     together = last.numbers.astype(np.int32)[labels]
     if owners is None:
         return Joined(labels=together)
     # For the result of this frame alone, the rounds continue from there without the map prior.
-    *_, alone = rounds(graph, trees.probabilities, config, odds, start=last)
+    *_, alone = rounds(graph, trees.probabilities, config, odds, start=last, masks=masks)
     return Joined(labels=together, alone=alone.numbers.astype(np.int32)[labels])
 
 
@@ -125,11 +127,12 @@ def rounds(
     owners: FragmentOwners | None = None,
     start: Round | None = None,
     most: int = _MAX_ROUNDS,
+    masks: MaskEvidence | None = None,
 ) -> Iterator[Round]:
     """Yield the rounds of merging, from single fragments (or `start`) to the final regions.
 
     `probabilities` rates features of pairs; `odds`: the log-odds of a network; `owners`: the map prior; `most`: the
-    maximum number of rounds.
+    maximum number of rounds; `masks`: masks of another network.
     """
     groups = Groups(len(graph.regions.pixels))
     if start is not None:
@@ -144,6 +147,8 @@ def rounds(
         pixels = portable.exp(features["small_pixels"])
         proven = is_bridged(features["bridged_level"], features["bridged_upright"], pixels)
         likely = np.where(proven, 1.0, probabilities(features))
+        if masks is not None:
+            likely = masks.combined(likely, pairs, numbers, len(names))
         if owners is not None:
             likely = owners.against(likely, pairs, numbers, len(names))
         chosen = _closest(pairs, likely, len(names), config.probability)

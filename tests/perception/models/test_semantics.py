@@ -119,9 +119,20 @@ def test_a_mask_is_rejected_from_the_stated_share_on():
 def test_a_mask_is_rejected_for_covering_the_whole_of_a_class():
     instances = np.ones((10, 10), np.int32)
     classes = np.full((10, 10), 2, np.int32)
-    classes[:2] = 0
-    config = FilterConfig(structure=("wall",), dynamic=(), share=0.9, iou=0.2)
-    assert [r.reason for r in filtered(classes, instances, config).rejected] == ["overlaps wall (IoU 0.20)"]
+    classes[:2] = 1
+    config = FilterConfig(structure=(), dynamic=("person",), share=0.9, iou=0.2)
+    assert [r.reason for r in filtered(classes, instances, config).rejected] == ["overlaps person, someone (IoU 0.20)"]
+
+
+def test_a_mask_called_wall_in_one_frame_stays_and_its_pixels_are_votes():
+    classes = np.zeros((10, 20), np.int32)
+    instances = np.zeros((10, 20), np.int32)
+    instances[:, :10] = 1
+    result = filtered(classes, instances)
+    assert (result.instances == instances).all()
+    assert result.rejected == ()
+    assert result.own_structure.all()
+    assert not result.structure[:, :10].any()
 
 
 def test_wall_pixels_become_structure_and_people_nothing():

@@ -14,7 +14,7 @@ from tools.benchmarks.common.figures import Figure, Options
 from tools.benchmarks.foreign.figures import figures_of, of_map, reasons
 from tools.benchmarks.foreign.logs import WorldLog, foreign_log, outdoor_log, own_log, worlds_folder
 from tools.benchmarks.foreign.parts import OUTDOORS, OWN, ROLES, Part, chosen_parts
-from tools.benchmarks.foreign.runs import clouds_scored, kitchen_scored, mapped, timed
+from tools.benchmarks.foreign.runs import clouds_scored, kitchen_scored, mapped_on, timed
 
 _QUICK_S = 12.0
 _SEEDS = 100_000
@@ -81,7 +81,7 @@ def _work(
 
 def _mapped(log: WorldLog, rung: Any = "ours") -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as temporary:
-        return mapped(log.log, log.truth, rung, Path(temporary) / "map")
+        return mapped_on(rung, log.log, log.truth, Path(temporary) / "map")
 
 
 def _reported(part: Part, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:

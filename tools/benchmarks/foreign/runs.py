@@ -38,13 +38,18 @@ _WARM_KEYFRAMES = 5
 _GROUND = frozenset({"floor", "pavement", "road", "kerb", "lawn"})
 
 
-def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, Any]:
+def mapped_on(rung: Rung, log: Path, truth_folder: Path, out: Path) -> dict[str, Any]:
+    """Return what `mapped` does, on a rung of the ladder of oracles."""
+    config = MapperConfig()
+    images = TrueImages(load_truth(truth_folder))
+    ports = {"segmenter": segmenter_of(rung, images, config), "core": core_of(rung, images, config)}
+    return mapped(log, truth_folder, out, config, **ports)
+
+
+def mapped(log: Path, truth_folder: Path, out: Path, config: MapperConfig, **ports: Any) -> dict[str, Any]:
     """Return the true objects that count and the objects of a map, each with its match or the reason for none."""
     truth = load_truth(truth_folder)
-    config = MapperConfig()
     config = replace(config, run=replace(config.run, shape_cache=False))
-    images = TrueImages(truth)
-    ports = {"segmenter": segmenter_of(rung, images, config), "core": core_of(rung, images, config)}
     play_into(out, open_source(str(log)), config, **ports)
     saved = open_map(out)
     history = investigate(saved, truth)
