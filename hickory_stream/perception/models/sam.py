@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ModelError
+from hickory_stream.perception.masks import InstanceMask
 from hickory_stream.perception.models.library import ModelEntry
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import normalised
