@@ -93,11 +93,13 @@ class Reader:
         )
         self._room = asyncio.Semaphore(_DECODED_AHEAD)
         self._thread = ThreadPoolExecutor(1, "read")
+        # Not the thread that reads: a source may wait for its next frame.
+        self._ahead_thread = ThreadPoolExecutor(1, "ahead")
         perception = config.perception
         has_masks = perception.segmenter in ("fastsam", "sam") or perception.semantics != "none"
         has_features = perception.extractor != "color_texture"
-        self._masks_thread = ThreadPoolExecutor(1, "masks") if has_masks else self._thread
-        self._features_thread = ThreadPoolExecutor(1, "features") if has_features else self._thread
+        self._masks_thread = ThreadPoolExecutor(1, "masks") if has_masks else self._ahead_thread
+        self._features_thread = ThreadPoolExecutor(1, "features") if has_features else self._ahead_thread
         self._has_worked = False
         self.decode_s = 0.0
         #: Losses since the last queued frame (playback).
@@ -161,7 +163,7 @@ class Reader:
 
     def close(self) -> None:
         """Wait for the threads to end."""
-        for thread in (self._thread, self._masks_thread, self._features_thread):
+        for thread in (self._thread, self._ahead_thread, self._masks_thread, self._features_thread):
             thread.shutdown(wait=True)
 
     async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position, group: asyncio.TaskGroup) -> None:
@@ -250,10 +252,10 @@ class Reader:
         try:
             # Those of one thread run in this order.
             surface, prepared, patches, free_keys = await asyncio.gather(
-                on_thread(self._thread, surface_of, frame),
+                on_thread(self._ahead_thread, surface_of, frame),
                 on_thread(self._masks_thread, self._segmenter.prepare, frame),
                 on_thread(self._features_thread, self._extractor.extract, np.asarray(frame.rgb)),
-                on_thread(self._thread, free_space, frame, config.perception.space, config.mapping.voxels),
+                on_thread(self._ahead_thread, free_space, frame, config.perception.space, config.mapping.voxels),
             )
         except ModelError as error:
             return error

@@ -32,6 +32,8 @@ _AGREE_SIGMAS = 3.0
 _MIN_NEIGHBORS = 5
 # The noise of a return is estimated from so many pixels to each side.
 _SMOOTH_PX = 2
+# The median of |a - 2 b + c| of values with normal noise of one: 0.6745 times the root of six.
+_BEND_OF_NOISE = 1.652
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
@@ -269,14 +271,23 @@ def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame)
 
 @kernel
 def _without_noise(depth, mask, law):
-    # The local filter of Lee (1980) in inverse depth, in whole millimetres: where neighbours in the mask vary by no
-    # more than noise they are averaged; a step of depth stays. A plane is linear in inverse depth and stays one.
+    # The local filter of Lee (1980) in inverse depth: where neighbours in the mask vary by no more than noise they are
+    # averaged; a step of depth stays. A plane is linear in inverse depth and stays one. Whole millimetres stay whole.
     height, width = mask.shape
     inverse = np.zeros((height, width))
     for y in range(height):
         for x in range(width):
             if mask[y, x] and depth[y, x] > 0.0:
                 inverse[y, x] = 1.0 / np.float64(depth[y, x])
+    # The law's noise or the mask's own, if less: the second differences of a plane are of noise alone.
+    bends, num = np.empty(height * width), 0
+    for y in range(height):
+        for x in range(1, width - 1):
+            if inverse[y, x - 1] > 0.0 and inverse[y, x] > 0.0 and inverse[y, x + 1] > 0.0:
+                bend = abs(inverse[y, x - 1] - 2.0 * inverse[y, x] + inverse[y, x + 1])
+                bends[num] = bend / (sigma_at(np.float64(depth[y, x]), law) * inverse[y, x] * inverse[y, x])
+                num += 1
+    scale = min(1.0, np.median(bends[:num]) / _BEND_OF_NOISE) if num > 0 else 0.0
     out = depth.copy()
     for y in range(height):
         for x in range(width):
@@ -294,9 +305,11 @@ def _without_noise(depth, mask, law):
             mean = total / count
             variance = squares / count - mean * mean
             if variance > 0.0:
-                noise = sigma_at(np.float64(depth[y, x]), law) * own * own
+                noise = scale * sigma_at(np.float64(depth[y, x]), law) * own * own
                 kept = max(variance - noise * noise, 0.0) / variance
-                out[y, x] = np.float32(np.rint(1000.0 / (own + mean * (1.0 - kept)))) * MILLIMETRE
+                steady = np.float32(1.0 / (own + mean * (1.0 - kept)))
+                is_whole = np.float32(np.rint(depth[y, x] * np.float32(1000.0))) * MILLIMETRE == depth[y, x]
+                out[y, x] = np.float32(np.rint(steady * np.float32(1000.0))) * MILLIMETRE if is_whole else steady
     return out
 
 

@@ -23,7 +23,7 @@ def right_share(lesson, numbers):
 @pytest.fixture(scope="module")
 def lessons(request):
     log = request.config.rootpath / "recordings" / "demo.mcap"
-    return lessons_of(log, load_truth(log.with_suffix(".truth")), max_keyframes=8, network=PixelNetwork())
+    return lessons_of(log, load_truth(log.with_suffix(".truth")), max_keyframes=12, network=PixelNetwork())
 
 
 def test_trees_grown_on_some_images_join_the_fragments_of_others(lessons):

@@ -21,7 +21,6 @@ from hickory_stream.cli.option_values import (
 from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
-from hickory_stream.records import ObjectKind
 
 if TYPE_CHECKING:
     import argparse
@@ -214,6 +213,7 @@ def _beside(
 
 def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, Any]:
     from hickory_stream.navigation.search import NoPath
+    from hickory_stream.records import ObjectKind
 
     report: dict[str, Any] = {
         "robot": space.robot.name,

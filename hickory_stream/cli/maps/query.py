@@ -11,7 +11,6 @@ from hickory_stream.cli.option_values import add_at, open_map_at, parse_place, p
 from hickory_stream.cli.output_files import add_output, check_ending, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
-from hickory_stream.records import ObjectKind, kind_text
 
 if TYPE_CHECKING:
     import argparse
@@ -115,6 +114,8 @@ def _as_json(index: MapIndex, answers: Answers, top: int) -> dict[str, Any]:
 
 
 def _answer_json(index: MapIndex, answer: Answer) -> dict[str, Any]:
+    from hickory_stream.records import ObjectKind
+
     i = index.ids.tolist().index(answer.id)
     return {
         "object": answer.id,
@@ -146,6 +147,8 @@ def _listed(answers: Answers) -> str:
 
 
 def _line(index: MapIndex, answer: Answer) -> str:
+    from hickory_stream.records import kind_text
+
     i = index.ids.tolist().index(answer.id)
     x, y, z = index.centers[i]
     why = ", ".join(f"{text} {score:.2f}" for text, score in answer.why)

@@ -22,7 +22,6 @@ NOT_DECIDING = {
     "perception.fastsam.": "of a network that is not installed by default",
     "perception.network.": "how a network is run",
     "perception.dinov2.": "of a network that is not installed by default",
-    "perception.masks.": "of a network that is not installed by default",
     "perception.semantic.": "of a network that is not installed by default",
     "mapping.requests.": _SHAPES, "mapping/track.py:_SKETCH_GROWTH": "when a sketch is drawn again",
     "mapping.submaps.": _SUBMAPS, "mapping/submaps.py:_DRIFT": _SUBMAPS,
