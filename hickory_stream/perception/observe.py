@@ -30,10 +30,6 @@ MILLIMETRE, MOST_MM = np.float32(0.001), 65535
 _AGREE_SIGMAS = 3.0
 # A return needs at least this many of its 24 neighbours within those sigmas of its depth.
 _MIN_NEIGHBORS = 5
-# The noise of a return is estimated from so many pixels to each side.
-_SMOOTH_PX = 2
-# The median of |a - 2 b + c| of values with normal noise of one: 0.6745 times the root of six.
-_BEND_OF_NOISE = 1.652
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
@@ -107,7 +103,7 @@ def _lift(
     # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
-    depth = _without_noise(frame.depth_m[y0:y1, x0:x1], mask, frame.sensor.law)
+    depth = frame.depth_m[y0:y1, x0:x1]
     points, colors, depth_mm, is_whole, num_reliable = _returns(
         depth,
         frame.rgb[y0:y1, x0:x1],
@@ -267,50 +263,6 @@ def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame)
     for _ in range(edge_px):
         inner = _with_agreeing(depth, mask, inner, law, _AGREE_SIGMAS)
     return inner
-
-
-@kernel
-def _without_noise(depth, mask, law):
-    # The local filter of Lee (1980) in inverse depth: where neighbours in the mask vary by no more than noise they are
-    # averaged; a step of depth stays. A plane is linear in inverse depth and stays one. Whole millimetres stay whole.
-    height, width = mask.shape
-    inverse = np.zeros((height, width))
-    for y in range(height):
-        for x in range(width):
-            if mask[y, x] and depth[y, x] > 0.0:
-                inverse[y, x] = 1.0 / np.float64(depth[y, x])
-    # The law's noise or the mask's own, if less: the second differences of a plane are of noise alone.
-    bends, num = np.empty(height * width), 0
-    for y in range(height):
-        for x in range(1, width - 1):
-            if inverse[y, x - 1] > 0.0 and inverse[y, x] > 0.0 and inverse[y, x + 1] > 0.0:
-                bend = abs(inverse[y, x - 1] - 2.0 * inverse[y, x] + inverse[y, x + 1])
-                bends[num] = bend / (sigma_at(np.float64(depth[y, x]), law) * inverse[y, x] * inverse[y, x])
-                num += 1
-    scale = min(1.0, np.median(bends[:num]) / _BEND_OF_NOISE) if num > 0 else 0.0
-    out = depth.copy()
-    for y in range(height):
-        for x in range(width):
-            own = inverse[y, x]
-            if own == 0.0:
-                continue
-            count, total, squares = 0, 0.0, 0.0
-            for yy in range(max(0, y - _SMOOTH_PX), min(height, y + _SMOOTH_PX + 1)):
-                for xx in range(max(0, x - _SMOOTH_PX), min(width, x + _SMOOTH_PX + 1)):
-                    other = inverse[yy, xx]
-                    away = other - own if other > 0.0 else 0.0
-                    count += other > 0.0
-                    total += away
-                    squares += away * away
-            mean = total / count
-            variance = squares / count - mean * mean
-            if variance > 0.0:
-                noise = scale * sigma_at(np.float64(depth[y, x]), law) * own * own
-                kept = max(variance - noise * noise, 0.0) / variance
-                steady = np.float32(1.0 / (own + mean * (1.0 - kept)))
-                is_whole = np.float32(np.rint(depth[y, x] * np.float32(1000.0))) * MILLIMETRE == depth[y, x]
-                out[y, x] = np.float32(np.rint(steady * np.float32(1000.0))) * MILLIMETRE if is_whole else steady
-    return out
 
 
 @kernel

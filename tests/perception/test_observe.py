@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, steps_of
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
 from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe, voxel_means
@@ -44,22 +43,6 @@ def test_lifted_points_lie_on_the_true_surface():
     # A voxel's mean at an edge lies inside by at most a voxel.
     assert distance_to_box(observations[0].points_world, BOX).max() < 0.01
     assert (observations[0].colors == BOX.color).all()
-
-
-def test_noise_of_a_far_plane_is_averaged_and_a_step_stays():
-    rng, sensor = np.random.default_rng(0), DepthSensor(noise_per_m=0.0025)
-    true_m = np.where(np.arange(CAMERA.width) < 160, 6.0, 7.5) * np.ones((CAMERA.height, 1))
-    sigma_m = sensor.sigma_m(true_m)
-    frame = Frame(
-        index=0, stamp_ns=0, rgb=np.zeros((*true_m.shape, 3), np.uint8), camera=CAMERA, sensor=sensor,
-        depth_m=(true_m + rng.normal(size=true_m.shape) * sigma_m).astype(np.float32), world_from_camera=np.eye(4),
-    )  # fmt: skip
-    shown = np.zeros(true_m.shape, dtype=int)
-    shown[100:140, 120:200] = 1
-    depths_m = observe(frame, truth(shown, [1]), ObserveConfig(), Lattice())[0][0].points_world[:, 2]
-    near = np.abs(depths_m - 6.0) < np.abs(depths_m - 7.5)
-    assert (depths_m - np.where(near, 6.0, 7.5)).std() < 0.5 * sigma_m.min()
-    assert [depths_m[side].mean() for side in (near, ~near)] == pytest.approx([6.0, 7.5], abs=0.03)
 
 
 def test_the_factors_of_a_view_are_shares_of_image_and_mask():
