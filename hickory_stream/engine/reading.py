@@ -95,9 +95,7 @@ class Reader:
         self._thread = ThreadPoolExecutor(1, "read")
         # Not the thread that reads: a source may wait for its next frame.
         self._ahead_thread = ThreadPoolExecutor(1, "ahead")
-        perception = config.perception
-        has_masks = perception.segmenter in ("fastsam", "sam") or perception.semantics != "none"
-        has_features = perception.extractor != "color_texture"
+        has_masks, has_features = config.perception.has_mask_network, config.perception.has_feature_network
         self._masks_thread = ThreadPoolExecutor(1, "masks") if has_masks else self._ahead_thread
         self._features_thread = ThreadPoolExecutor(1, "features") if has_features else self._ahead_thread
         self._has_worked = False

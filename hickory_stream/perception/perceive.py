@@ -42,7 +42,7 @@ class PerceptionConfig:
         segmenter: `network` splits and joins fragments with the affinity network of the package; `geometric` joins
             them by trees alone; `fastsam` and `sam` are networks in the folder of models.
         extractor: the source of patch features: `color_texture` needs no weights; `dinov2` is a network.
-        semantics: the semantic model whose classes reject masks: `none`, `oneformer`, or another `graph` that gives
+        semantics: the model whose classes are votes for the room: `none`, `oneformer`, or another `graph` that gives
             scores or class ids.
     """
 
@@ -58,6 +58,16 @@ class PerceptionConfig:
     semantic: SemanticConfig = field(default_factory=SemanticConfig)
     observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
+
+    @property
+    def has_mask_network(self) -> bool:
+        """Whether an installed network gives masks or classes."""
+        return self.segmenter in ("fastsam", "sam") or self.semantics != "none"
+
+    @property
+    def has_feature_network(self) -> bool:
+        """Whether an installed network gives features."""
+        return self.extractor != "color_texture"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

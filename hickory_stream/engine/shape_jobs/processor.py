@@ -40,6 +40,5 @@ def processor_of_run(perception: PerceptionConfig, *, is_own: bool, has_lossy_vi
     """
     if has_lossy_views:
         return f"{processor_kind()}, codecs of OpenCV {cv2.__version__}"
-    has_masks, has_classes = perception.segmenter in ("fastsam", "sam"), perception.semantics != "none"
-    has_network = has_masks or has_classes or perception.extractor != "color_texture"
+    has_network = perception.has_mask_network or perception.has_feature_network
     return processor_kind() if has_network or not is_own else processor_of_shapes()

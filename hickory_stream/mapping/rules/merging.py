@@ -249,25 +249,25 @@ def why_one(
 
 
 def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:
+    # Votes count between tracks of one kind alone: frames that see a picture and its wall as one do not make them so.
+    is_one_kind = a.kind is b.kind
+    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
+    if is_one_kind and (often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns)):
+        return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
     small, large = (a, b) if len(a.solid.keys) <= len(b.solid.keys) else (b, a)
     share = share_near(small.solid.keys, large.solid)
-    if a.kind is not b.kind:
-        # An object and a fixture are one if the smaller is a side of the larger, e.g. the front of a wardrobe: frames
-        # that see a picture and its wall as one do not make them so.
+    if not is_one_kind:
+        # The smaller is a side of the larger, e.g. the front of a wardrobe.
         same = f"{share:.0%} of the smaller, {small.kind}, lies on the larger, {large.kind}"
         return None if share < SURE_SHARE else same
-    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
-    if often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns):
-        return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
     if share >= (SURE_SHARE if votes.apart_ns > votes.together_ns else DUPLICATE_SHARE):
         return f"{share:.0%} of the smaller cloud lies on the larger one"
+    if votes.apart_ns > 0:
+        return None
     # From far away a thing is spread along the rays, and its near views lie within that: two tracks of one thing.
     noise = max(sigma_of(a.solid), sigma_of(b.solid)) / voxel_m
-    if votes.apart_ns > 0 or noise < _NOISY_VOXELS:
+    if noise < _NOISY_VOXELS:
         return None
     share = share_near(small.solid.keys, large.solid, halvings=int(noise / 2).bit_length() - 1)
-    return (
-        f"{share:.0%} of the smaller cloud lies on the larger one, to within noise"
-        if share >= DUPLICATE_SHARE
-        else None
-    )
+    same = f"{share:.0%} of the smaller cloud lies on the larger one, to within noise"
+    return None if share < DUPLICATE_SHARE else same
