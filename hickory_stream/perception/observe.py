@@ -21,6 +21,7 @@ from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
 from hickory_stream.perception.masks import label_boxes
+from hickory_stream.perception.surface import lab_of
 from hickory_stream.records import Frame, Observation, RejectedMask, Returns, Segmentation
 
 # Players convert the cameras' millimetres to metres by this factor.
@@ -33,6 +34,9 @@ _MIN_NEIGHBORS = 5
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
+# The rim of a mask lies this far outside; a step in colour is as large as where fragments are split by it.
+_RIM_PX, _COLOR_STEP = 3, 12.0
+_COLOR_WEIGHTS = np.array([0.5, 1, 1], np.float32)
 # About so many pixels around a mask and in it are looked at for the surface that it is flush with.
 _BESIDE_PX = 600
 
@@ -71,6 +75,7 @@ def observe(
                 group=0 if alone is None else _group(alone, box_px, mask),
                 returns=lifted.returns,
                 behind=_behind(frame, box_px, mask, lifted.points),
+                drawn=_drawn(frame, box_px, mask),
             )
         )
     return tuple(observations), tuple(rejected)
@@ -151,6 +156,35 @@ def _behind(
     depth_m = portable.dot(points.mean(axis=0, dtype=np.float64) - view[:3, 3], view[:3, 2])
     width = min((x1 - x0) / camera.fx, (y1 - y0) / camera.fy) * depth_m
     return None if flush_heights(points, weights, 1 / weights, behind, width) is None else behind
+
+
+def _drawn(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> float:
+    # The share of the rim with returns beside it or, where they are missing, with a step in colour.
+    (x0, y0, x1, y1), (height, width) = box_px, frame.depth_m.shape
+    left, top, right, bottom = (
+        max(0, x0 - _RIM_PX),
+        max(0, y0 - _RIM_PX),
+        min(width, x1 + _RIM_PX),
+        min(height, y1 + _RIM_PX),
+    )
+    inside = cv2.copyMakeBorder(
+        mask.astype(np.uint8), y0 - top, bottom - y1, x0 - left, right - x1, cv2.BORDER_CONSTANT, value=0
+    )
+    near, far = (cv2.dilate(inside, np.ones((2 * px + 1, 2 * px + 1), np.uint8)) for px in (_RIM_PX - 1, _RIM_PX))
+    rim = far > near
+    # Single lines without returns are artefacts of a sensor.
+    returns = cv2.dilate((frame.depth_m[top:bottom, left:right] > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    unseen = rim & ~returns
+    if not unseen.any():
+        return 1.0
+    lab = lab_of(frame.rgb[top:bottom, left:right]) * _COLOR_WEIGHTS
+    side = (4 * _RIM_PX + 1, 4 * _RIM_PX + 1)
+    weights = cv2.blur(inside.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
+    means = cv2.blur(lab * inside[..., None], side, borderType=cv2.BORDER_CONSTANT)
+    beside = cv2.blur(lab, (3, 3))
+    step = beside[unseen] - means[unseen] / np.maximum(weights[unseen], np.float32(1e-6))[:, None]
+    missing = int(np.count_nonzero((step * step).sum(axis=1) < _COLOR_STEP * _COLOR_STEP))
+    return 1 - missing / int(np.count_nonzero(rim))
 
 
 def rays_of(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

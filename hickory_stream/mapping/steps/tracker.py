@@ -159,7 +159,7 @@ class Tracker:
         if on_others.mean() < _FOREIGN_SHARE:
             own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
             track = grown(track, own, sightings, self._config.voxels.object_m)
-            track = replace(track, observed_ns=track.observed_ns + since_ns)
+            track = replace(track, observed_ns=track.observed_ns + round(observation.drawn * since_ns))
         state.tracks[track.id] = track
         return tuple(covered)
 
