@@ -8,11 +8,11 @@ from tests.strategies import seeds
 CHANCE = Chance(num_a=40, num_b=40, volume_m3=150.0, max_tilt_rad=0.4)
 
 
-def scatters(points: np.ndarray) -> np.ndarray:
+def scatters(points):
     return np.array([(p := points[: k + 1] - points[: k + 1].mean(axis=0)).T @ p for k in range(len(points))])
 
 
-def logs(seed: int, residual_m: float, log_rank: float, *, is_level: bool = True, num: int = 8) -> np.ndarray:
+def logs(seed, residual_m, log_rank, *, is_level=True, num=8):
     points = np.random.default_rng(seed).uniform(-4, 4, (num, 3))
     squares = np.cumsum(np.full(num, residual_m**2))
     return log_expected_sets(CHANCE, np.full(num, log_rank), squares, scatters(points), is_level=is_level)

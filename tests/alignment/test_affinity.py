@@ -24,9 +24,7 @@ def test_without_scores_every_pair_ranks_the_same():
 
 
 def test_an_unknown_score_neither_helps_nor_hurts():
-    sure = np.array([[0.9, 0.2, 0.1, 0.3]])
-    unknown = np.full((1, 4), np.nan)
-    assert np.argmin(fused_log_ranks((sure, unknown), (1, 4))) == 0
+    assert np.argmin(fused_log_ranks((np.array([[0.9, 0.2, 0.1, 0.3]]), np.full((1, 4), np.nan)), (1, 4))) == 0
 
 
 @settings(max_examples=25)

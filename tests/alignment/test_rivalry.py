@@ -8,7 +8,7 @@ from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_
 from tools.evaluation.simulated_maps.trial import overlap_b
 
 
-def answered(config: AmbiguousConfig, seeds: range) -> list[tuple[Alignment | NoAlignment, bool]]:
+def answered(config, seeds):
     """Return the answers, and which of them are right."""
     told = []
     for seed in seeds:

@@ -262,8 +262,7 @@ def test_the_voxels_of_an_older_map_keep_their_sizes(old):
 
 def test_an_older_configuration_loses_what_is_constant_now():
     old = {"split": {"min_apart_s": 3.0, "apart_ratio": 2}, "support": {"level_m": 0.15}}
-    config = from_dict(MapperConfig, with_current_names({"mapping": old}))
-    assert config.mapping.split.min_apart_s == 3.0
+    assert from_dict(MapperConfig, with_current_names({"mapping": old})).mapping.split.min_apart_s == 3.0
     old["support"]["level_m"] = 0.2
     with pytest.raises(ConfigError, match=r"mapping.support.level_m .* it is fixed at 0.15 now"):
         from_dict(MapperConfig, with_current_names({"mapping": old}))

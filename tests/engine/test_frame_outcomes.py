@@ -1,5 +1,3 @@
-"""Every frame has one outcome: which of those that have come is mapped, and what the others are counted as."""
-
 from dataclasses import replace
 import numpy as np
 from hickory_stream.box_scene import SceneSource

@@ -35,8 +35,7 @@ def test_a_configured_bias_replaces_the_one_of_the_source():
 
 def test_a_playback_keyframe_comes_with_all_that_needs_no_map():
     reads = asyncio.run(_read(SceneSource(4)))
-    candidates = [read for read in reads if read.is_candidate]
-    assert candidates
+    assert [read for read in reads if read.is_candidate]
     config = MapperConfig()
     for read in reads:
         if read.frame is None:

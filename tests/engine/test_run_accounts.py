@@ -1,5 +1,3 @@
-"""Where frames and time went, from counts and times that are known."""
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.accounting import run_ledger, run_timings
 

@@ -22,12 +22,12 @@ from tests.engine.snapshot_fixtures import box_mesh
 GREY = (90, 90, 90)
 
 
-def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
+def moved(mesh, by):
     vertices = (mesh.vertices + np.array(by)).astype(np.float32)
     return Mesh(vertices=vertices, faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
 
 
-def joined(a: Mesh, b: Mesh) -> Mesh:
+def joined(a, b):
     return Mesh(
         vertices=np.concatenate([a.vertices, b.vertices]),
         faces=np.concatenate([a.faces, b.faces + len(a.vertices)]),
@@ -36,7 +36,7 @@ def joined(a: Mesh, b: Mesh) -> Mesh:
     )
 
 
-def true_surface(mesh: Mesh) -> TrueSurface:
+def true_surface(mesh):
     samples, _ = exposed_samples(mesh, 3000, np.random.default_rng(0))
     return TrueSurface(mesh=mesh, samples=samples.astype(np.float64))
 

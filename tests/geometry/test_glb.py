@@ -1,5 +1,3 @@
-"""GLB files of others: one mesh of ours, or a ValueError; nothing is opened, no memory taken for a claim."""
-
 import json
 import struct
 import numpy as np

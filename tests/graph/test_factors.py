@@ -32,8 +32,7 @@ def test_odometry_is_wider_along_what_scans_left_open():
     along = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
     wider = odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
     assert along @ wider @ along == pytest.approx((DEGENERATE_SHARE * 5.0) ** 2)
-    across = np.array([0.0, 0.0, 0.0, -0.8, 0.6, 0.0])
-    assert np.abs(wider @ across).max() == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(wider @ np.array([0.0, 0.0, 0.0, -0.8, 0.6, 0.0])).max() == pytest.approx(0.0, abs=1e-12)
     jumped = odometry_covariance(5.0, 0.2, CONFIG, jumps=1)
     assert np.sqrt(jumped[3, 3]) > 29
     assert np.sqrt(jumped[2, 2]) > 2.9
@@ -58,7 +57,7 @@ def test_the_covariance_of_an_alignment_becomes_that_of_an_edge():
     assert np.abs((sampled - expected) / scale).max() < 0.08
 
 
-def edge(before: int, after: int) -> OdometryEdge:
+def edge(before, after):
     return OdometryEdge(before=before, after=after, before_from_after=np.eye(4), covariance=np.eye(6))
 
 

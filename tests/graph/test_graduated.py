@@ -1,5 +1,3 @@
-"""Weights of graduated non-convexity: from all that count a little to those of the limit."""
-
 import numpy as np
 from hickory_stream.graph.gtsam_solver import sharper, smoothest, weights_of
 

@@ -68,8 +68,7 @@ def test_a_sketch_is_named_as_what_it_is(tmp_path):
     folder = create_map_folder(tmp_path / "m", config={}, source={})
     snapshot = make_snapshot(folder)
     shaped, bare = snapshot.objects[0], snapshot.objects[1]
-    sketched = replace(bare, shape=None, sketch=shaped.shape.fitted)
-    folder.save(replace(snapshot, objects=(shaped, sketched)))
+    folder.save(replace(snapshot, objects=(shaped, replace(bare, shape=None, sketch=shaped.shape.fitted))))
     folder.finish(finished_cleanly=True)
     summary = summarize(open_map(tmp_path / "m"))
     assert [row.is_sketched for row in summary.objects] == [False, True]
@@ -81,8 +80,7 @@ def test_a_sketch_is_named_as_what_it_is(tmp_path):
 
 def test_an_empty_map_has_a_table(tmp_path):
     create_map_folder(tmp_path / "m", config={}, source={})
-    table = format_table(summarize(open_map(tmp_path / "m")))
-    assert "0 objects (none), not finished" in table
+    assert "0 objects (none), not finished" in format_table(summarize(open_map(tmp_path / "m")))
 
 
 def test_where_an_object_is_comes_from_its_best_layer(map_path, summary):

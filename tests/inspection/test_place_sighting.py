@@ -1,5 +1,3 @@
-"""What a keyframe of a thing before a wall takes each place for."""
-
 import numpy as np
 import pytest
 from hickory_stream.config import MapperConfig

@@ -1,5 +1,3 @@
-"""The state of the core is written every so many keyframes, and not while a search is open."""
-
 from hickory_stream.engine.step_writer import CheckpointTimes
 
 

@@ -1,5 +1,3 @@
-"""Ways along which nothing was seen that could tell how far one has come."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation

@@ -5,32 +5,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.observed_space import (
-    SpaceState,
-    add,
-    as_record,
-    empty_space,
-    false_floor,
-    floor_change,
-)
-from hickory_stream.records import SpaceObservation
+from hickory_stream.mapping.entities.observed_space import add, as_record, empty_space, false_floor, floor_change
 from tests.mapping.mapping_fixtures import space
 
 key_sets = st.lists(st.integers(0, 30), max_size=20, unique=True).map(lambda keys: np.array(sorted(keys), np.int64))
 
 
-def _observed(free: np.ndarray, structure: np.ndarray, surface: np.ndarray) -> SpaceObservation:
+def _observed(free, structure, surface):
     return space(free, structure, None, np.setdiff1d(surface, structure))
 
 
 observed = st.builds(_observed, key_sets, key_sets, key_sets)
 
 
-def after(*seen: SpaceObservation) -> SpaceState:
+def after(*seen):
     return reduce(add, seen, empty_space(0.05))
 
 
-def keys(*values: int) -> np.ndarray:
+def keys(*values):
     return np.array(values, dtype=np.int64)
 
 
@@ -65,7 +57,7 @@ def test_the_space_equals_counting_in_sets(frames):
 @given(st.lists(observed, max_size=5), st.randoms(use_true_random=False))
 def test_the_order_of_the_keyframes_does_not_change_the_space(frames, random):
     shuffled = list(frames)
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    random.shuffle(shuffled)
     one, other = as_record(after(*frames)), as_record(after(*shuffled))
     assert np.array_equal(one.free, other.free)
     assert np.array_equal(one.structure, other.structure)
@@ -95,7 +87,7 @@ def test_an_endless_look_at_one_place_does_not_grow_the_space():
 
 
 def test_the_floor_goes_down_at_once_and_up_slowly():
-    def floor(*heights: float | None) -> float | None:
+    def floor(*heights):
         return after(*(space(floor_z_m=z) for z in heights)).floor_z_m
 
     assert floor() is None
@@ -109,7 +101,7 @@ def test_the_floor_goes_down_at_once_and_up_slowly():
     assert floor(*[0.0] * 3, *[0.02] * 60) == pytest.approx(0.02, abs=1e-3)
 
 
-def level(z_m: float, side_m: float) -> np.ndarray:
+def level(z_m, side_m):
     """The sorted voxels of a level square."""
     x, y = np.meshgrid(np.arange(0.0, side_m, 0.05) + 0.02, np.arange(0.0, side_m, 0.05) + 0.02)
     return np.unique(keys_of_points(np.stack([x, y, np.full(x.shape, z_m)], axis=-1).reshape(-1, 3), 0.05))

@@ -8,7 +8,7 @@ CAMERA = Camera(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, cy=119.5)
 POSE = from_rotation_translation(yaw_rotation(0.5), np.array([1.0, 2.0, 3.0]))
 
 
-def wall(depth_m: float = 2.0) -> CoarseFrame:
+def wall(depth_m=2.0):
     depth = np.full((120, 160), round(1000 * depth_m), np.uint16)
     depth[:, 80:] += 500  # a step: two walls, with an edge between them
     return CoarseFrame(stride_px=2, depth_mm=depth, structure=np.zeros(depth.shape, bool), camera=CAMERA)

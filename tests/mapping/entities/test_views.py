@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.mapping.entities.views import (
     CUT_FACTOR,
-    Strategy,
     ViewConfig,
     better,
     covers_better,
@@ -18,12 +17,11 @@ from hickory_stream.mapping.entities.views import (
     sector_of,
     usefulness,
 )
-from hickory_stream.records import View
 from tests.mapping.mapping_fixtures import view
 from tests.strategies import unit_share, views
 
 CONFIG = ViewConfig()
-STRATEGIES: tuple[Strategy, ...] = ("s_score", "initial", "max_area", "max_box", "max_volume")
+STRATEGIES = ("s_score", "initial", "max_area", "max_box", "max_volume")
 scored = st.builds(lambda v, s: replace(v, score=s), views(), st.one_of(st.none(), st.sampled_from([0.0, 0.1, 0.2])))
 
 
@@ -77,8 +75,8 @@ def test_no_feature_variance_lifts_the_score_above_the_bound(seen, variance, str
 @given(st.lists(st.tuples(views(), unit_share), min_size=1, max_size=12), st.sampled_from(STRATEGIES))
 def test_leaving_out_what_the_bound_rules_out_changes_no_choice(seen, strategy):
     config = ViewConfig(strategy=strategy)
-    best: View | None = None
-    best_of_all: View | None = None
+    best = None
+    best_of_all = None
     for i, (bare, variance) in enumerate(seen):
         candidate = replace(bare, frame_index=i, score=None)
         judged = replace(candidate, score=score(candidate, variance, config))
@@ -114,7 +112,7 @@ def test_each_strategy_picks_what_its_name_says(seen, strategy):
 
 @given(scored, scored, scored)
 def test_the_better_view_does_not_depend_on_the_order(a, b, c):
-    def key(seen: View | None) -> tuple[object, ...]:
+    def key(seen):
         return (seen.score, seen.frame_index, seen.box_px)
 
     if len({key(v)[1:] for v in (a, b, c)}) == 3 and None not in (a.score, b.score, c.score):

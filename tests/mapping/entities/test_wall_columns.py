@@ -1,5 +1,3 @@
-"""Which columns of voxels are walls'."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
@@ -19,7 +17,7 @@ from tests.mapping.mapping_fixtures import space
 VOXEL_M = 0.05
 
 
-def block(width: int, length: int, height: int, below: int = 0) -> np.ndarray:
+def block(width, length, height, below=0):
     """The sorted keys of a block of voxels that begins at height 0, or so many below."""
     steps = np.meshgrid(np.arange(width), np.arange(length), np.arange(-below, height), indexing="ij")
     return np.sort(keys_of_cells(np.stack(steps, axis=-1).reshape(-1, 3)))

@@ -1,15 +1,11 @@
-"""Association: one-to-one among whole things, parts by their points, and nothing hangs on the order of arrival."""
-
 from itertools import permutations
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import box_iou
-from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.rules.association import AssociateConfig, Match, associate
-from hickory_stream.records import Observation
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, observation, track
 
 CONFIG = AssociateConfig()
@@ -19,15 +15,15 @@ SIDE = 0.2
 places = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3)), min_size=1, max_size=5)
 
 
-def at(place: tuple[int, int]) -> np.ndarray:
+def at(place):
     return box_surface((0.1 * place[0], 0.1 * place[1], 0.1))
 
 
-def matched(observations: list[Observation], *tracks: Track) -> list[Match]:
+def matched(observations, *tracks):
     return associate(observations, TrackTable({t.id: t for t in tracks}), VOXEL_M, CONFIG)
 
 
-def pairs(matches: list[Match]) -> dict[int, int | None]:
+def pairs(matches):
     return {match.observation_index: match.track_id for match in matches}
 
 
@@ -64,7 +60,7 @@ def test_the_order_of_observations_does_not_change_the_pairs(seen, known, random
     tracks = [track(i + 1, at(place)) for i, place in enumerate(known)]
     observations = [observation(i, at(place)) for i, place in enumerate(seen)]
     shuffled = list(observations)
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    random.shuffle(shuffled)
     assert pairs(matched(observations, *tracks)) == pairs(matched(shuffled, *tracks))
 
 
@@ -115,8 +111,7 @@ def test_the_better_pair_is_made_first():
 
 def test_a_partial_view_that_lies_on_a_track_goes_to_it():
     table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
-    corner = table[(table[:, 0] > 0.4) & (table[:, 1] > 0.2)]
-    seen = observation(0, corner)
+    seen = observation(0, table[(table[:, 0] > 0.4) & (table[:, 1] > 0.2)])
     known = track(2, table)
     assert box_iou(seen.box, known.box) < CONFIG.min_iou
     (match,) = matched([seen], known)
@@ -128,8 +123,7 @@ def test_a_partial_view_that_lies_on_a_track_goes_to_it():
 def test_a_thing_in_the_box_of_a_track_off_its_points_is_new():
     # Below a table: inside its box, off its surface.
     top, leg = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((-0.55, -0.35, 0.35), (0.04, 0.04, 0.7))
-    bin_below = observation(0, box_surface((0.2, 0.1, 0.15)))
-    (match,) = matched([bin_below], track(1, np.concatenate([top, leg])))
+    (match,) = matched([observation(0, box_surface((0.2, 0.1, 0.15)))], track(1, np.concatenate([top, leg])))
     assert match.track_id is None
     assert match.lies_on < CONFIG.min_lies_on
     assert [i for i, _ in match.candidates] == [1]

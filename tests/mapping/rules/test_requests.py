@@ -1,9 +1,6 @@
-"""Which shapes are asked for, and what an object stands on."""
-
 from dataclasses import replace
-from typing import Any
 import pytest
-from hickory_stream.mapping.entities.track import ShapeState, Track
+from hickory_stream.mapping.entities.track import ShapeState
 from hickory_stream.mapping.rules.shape_requests import (
     RequestConfig,
     gain_of,
@@ -22,13 +19,13 @@ CONFIG = RequestConfig(
 POINTS = box_surface((0, 0, 0.1))
 
 
-def seen(track_id: int, *, num_views: int = 2, sightings: int = 9) -> Track:
+def seen(track_id, *, num_views=2, sightings=9):
     """A confirmed track that has no shape yet."""
     coverage = tuple((i, view(10 * track_id + i)) for i in range(num_views))
     return replace(track(track_id, POINTS, sightings=sightings), coverage=coverage)
 
 
-def built(track_id: int, *, new_views: int = 0, asked_s: float = 0.0) -> Track:
+def built(track_id, *, new_views=0, asked_s=0.0):
     """A track with a shape of two views, and views that are new since."""
     bare = seen(track_id, num_views=2 + new_views)
     asked = ShapeState(
@@ -39,12 +36,12 @@ def built(track_id: int, *, new_views: int = 0, asked_s: float = 0.0) -> Track:
     return replace(bare, shape=shape(1), shape_state=asked)
 
 
-def failed(bare: Track, failures: int) -> Track:
+def failed(bare, failures):
     state = ShapeState(asked_views=tuple(v.name for v in bare.views), asked_points=1, failures=failures)
     return replace(bare, shape_state=state)
 
 
-def asked(*tracks: Track, num_open: int = 0, clock_s: float = 100, is_final: bool = False) -> list[int]:
+def asked(*tracks, num_open=0, clock_s=100, is_final=False):
     known = {t.id: t for t in tracks}
     return next_requests(known, num_open, round(clock_s * SECOND_NS), is_final=is_final, config=CONFIG)
 
@@ -54,7 +51,7 @@ def test_first_shapes_and_lower_ids_come_first():
     assert asked(built(1, new_views=30), seen(4)) == [4, 1]
 
 
-def scored(bare: Track, score: float, asked_score: float = 0.0, **state: Any) -> Track:
+def scored(bare, score, asked_score=0.0, **state):
     """The track with a best view of a score, whose shape was last asked for at another one."""
     best = replace(bare.views[0], score=score)
     coverage = ((0, best), *bare.coverage[1:])
@@ -164,8 +161,7 @@ def test_at_the_end_points_without_a_view_are_enough():
 
 
 def test_an_object_whose_shape_failed_too_often_is_set_aside():
-    grown = failed(seen(1), failures=1)
-    assert asked(grown) == [1]
+    assert asked(failed(seen(1), failures=1)) == [1]
     assert asked(failed(seen(1), failures=2)) == []
     assert asked(failed(seen(1), failures=2), is_final=True) == []
 

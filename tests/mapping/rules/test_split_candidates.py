@@ -1,13 +1,10 @@
-"""Parts that are split off their host, and swollen observations."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive, keyframe, observation, track
@@ -18,7 +15,7 @@ DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
 SET = box_surface((0.0, 0.0, 1.0), (0.5, 0.2, 0.36))
 
 
-def cloud(points: NDArray[np.float32]) -> Cloud:
+def cloud(points):
     return cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.mapping.entities.observed_space import SpaceState, add, empty_space
+from hickory_stream.mapping.entities.observed_space import add, empty_space
 from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall
 from tests.mapping.mapping_fixtures import box_surface, space, track
 
@@ -11,7 +11,7 @@ SPACE_M = CONFIG.voxels.space_m
 BOX = box_surface((0.0, 0.0, 0.5), (0.4, 0.4, 0.4))
 
 
-def space_with(points: np.ndarray, num_keyframes: int) -> SpaceState:
+def space_with(points, num_keyframes):
     """Space in which so many keyframes saw structure at points."""
     state = empty_space(SPACE_M)
     for _ in range(num_keyframes):
@@ -19,7 +19,7 @@ def space_with(points: np.ndarray, num_keyframes: int) -> SpaceState:
     return state
 
 
-def share_of_box(share: float) -> np.ndarray:
+def share_of_box(share):
     """The lowest points of the box, about so many of them."""
     return BOX[np.argsort(BOX[:, 2], kind="stable")][: round(share * len(BOX))]
 

@@ -1,13 +1,11 @@
-"""Merging: duplicates become one with both histories, and one bad frame welds nothing."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
-from hickory_stream.mapping.entities.track import Track, with_cloud
+from hickory_stream.mapping.entities.cloud import cloud_of
+from hickory_stream.mapping.entities.track import with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.merging import (
@@ -31,18 +29,18 @@ pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair
 
 
 @st.composite
-def vote_books(draw: st.DrawFn) -> VoteBook:
+def vote_books(draw):
     book = VoteBook()
     for pair in draw(st.lists(pairs, max_size=12)):
         book = book.plus([pair], together_ns=draw(st.integers(0, 3)), apart_ns=draw(st.integers(0, 3)))
     return book
 
 
-def cloud(points: np.ndarray) -> Cloud:
+def cloud(points):
     return cloud_of(points, np.zeros((len(points), 3), dtype=np.uint8), VOXEL_M)
 
 
-def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
+def found(book, *tracks):
     known = TrackTable({t.id: t for t in tracks})
     pair = find_pair(known, known, book, graph_of(known), 0.01, CONFIG)
     return pair[:2] if pair is not None else None
@@ -125,8 +123,7 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
 )
 def test_pieces_merge_when_seen_as_one_more_often_than_apart(together_s, apart_s, verdict):
     book = VoteBook().plus([(1, 2)], together_ns=round(together_s * SECOND_NS), apart_ns=round(apart_s * SECOND_NS))
-    pieces = track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1)))
-    assert found(book, *pieces) == verdict
+    assert found(book, *(track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1))))) == verdict
 
 
 def test_votes_of_things_that_do_not_even_touch_weld_nothing():
@@ -193,7 +190,7 @@ def test_nothing_is_foreign_where_no_other_track_is():
     assert covered == []
 
 
-def two_tracks() -> tuple[Track, Track]:
+def two_tracks():
     kept = replace(
         track(1, box_surface((0, 0, 0.1)), sightings=4), first_seen_ns=3 * SECOND_NS, last_seen_ns=9 * SECOND_NS,
         seen_clock_ns=6, coverage=((2, view(3)),), best_view=view(4, score=0.3), merged_ids=(7,), seen_through_ns=2,
