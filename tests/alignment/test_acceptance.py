@@ -25,12 +25,9 @@ def test_closer_and_likelier_pairs_are_less_easily_chance(seed, residual_m, log_
     assert (logs(seed, residual_m, log_rank - 1)[3:] <= given_ + 1e-9).all()
 
 
-def test_two_pairs_prove_nothing_whatever_they_look_like():
+def test_two_pairs_prove_nothing_four_do_where_few_look_alike():
     assert np.isinf(logs(0, 0.001, -7.0)[:2]).all()
     assert np.isinf(logs(0, 0.001, -7.0, is_level=False)[:3]).all()
-
-
-def test_four_pairs_prove_where_few_look_alike():
     easy, hard = np.log(5 / 1600), np.log(270 / 1600)
     assert logs(1, 0.1, easy)[3] < np.log(1e-3)
     assert logs(1, 0.1, hard)[3] > np.log(1e-2)

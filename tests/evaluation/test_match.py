@@ -87,15 +87,12 @@ def test_no_overlap_is_missed_by_comparing_bounds_first(seed, turned):
     assert np.array_equal(box_ious(ours, theirs), [[box_iou(a, b) for b in theirs] for a in ours])
 
 
-def test_a_perfect_map_scores_one_everywhere(tmp_path):
+def test_a_perfect_map_scores_one_and_an_empty_one_zero(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0))
     score = score_map(snapshot_of(found(7, 0.0), found(8, 1.0)), {}, truth)
     assert (score.recall_25, score.recall_50, score.precision_25, score.precision_50) == (1.0, 1.0, 1.0, 1.0)
     assert score.tracks_per_object == 1.0
     assert [(row.truth_id, row.map_id, row.track_ids) for row in score.truth] == [(1, 7, (7,)), (2, 8, (8,))]
-
-
-def test_an_empty_map_scores_zero(tmp_path):
     score = score_map(snapshot_of(), {}, truth_of(tmp_path, true_object(tmp_path, 1, 0.0)))
     assert (score.recall_25, score.precision_25, score.tracks_per_object, score.num_truth) == (0.0, 0.0, 0.0, 1)
 

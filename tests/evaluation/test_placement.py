@@ -145,27 +145,21 @@ def test_the_command_says_it_as_json(tmp_path, capsys):
     assert len(found["map_from_world"]) == 4
 
 
-def test_a_few_wrong_poses_do_not_move_the_truth(tmp_path):
+def test_structure_moves_with_the_truth_despite_wrong_poses(tmp_path):
     kept = views(MOVED)
     for i in (1, 5):
         kept[i] = replace(kept[i], world_from_camera=placed(40.0, 2.0, 0.0))
     np.testing.assert_allclose(np.array(place(tmp_path, kept).placement.map_from_world), MOVED, atol=1e-6)
-
-
-def test_structure_moves_with_the_rest(tmp_path):
     found = place(tmp_path, views(MOVED))
     (floor,) = structure_meshes(found.truth)
     np.testing.assert_allclose(floor.vertices.mean(axis=0), MOVED[:3, 3], atol=1e-5)
     np.testing.assert_allclose(found.views[0].frame.world_from_camera, MOVED @ pose(0), atol=1e-6)
 
 
-def test_drift_is_no_placement(tmp_path):
+def test_drift_is_no_placement_and_is_left_in_a_moved_truth(tmp_path):
     found = place(tmp_path, views(np.eye(4), drift_m=0.03))
     assert found.placement is None
     np.testing.assert_array_equal(found.truth.objects[0].world_from_object, placed(0.0, 0.0, 0.3))
-
-
-def test_drift_is_left_in_a_truth_that_was_moved(tmp_path):
     assert 0.005 < place(tmp_path, views(MOVED, drift_m=0.01)).placement.rest_m < 0.05
 
 

@@ -52,11 +52,8 @@ def test_the_rounds_do_not_depend_on_the_order_of_mapping():
         assert rounds_of([next(other) if i in places else next(rest) for i in range(6)]) == expected
 
 
-def test_a_robot_that_gives_no_map_holds_nobody_up():
+def test_nobody_waits_for_a_robot_without_a_map_nor_live():
     assert rounds_of([("a", 5), ("b", None), ("a", 9)]) == [(5, {"a": 5}, ("a",)), (9, {"a": 9}, ("a",))]
-
-
-def test_live_robots_wait_for_nobody():
     found = rounds_of([("a", 5), ("a", 10), ("b", 5)], waits=False)
     assert found == [(5, {"a": 5}, ("a",)), (10, {"a": 10}, ("a",)), (10, {"a": 10, "b": 5}, ("b",))]
 

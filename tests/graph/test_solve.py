@@ -87,16 +87,10 @@ def test_without_loops_poses_stay_as_they_are_to_the_last_bit(walk):
     assert sigmas_m[0] < 1e-4 < sigmas_m[1] < sigmas_m[4] < sigmas_m[16]
 
 
-def test_the_first_node_stays_where_it_is(walk):
+def test_a_solution_keeps_start_and_verticals_and_says_why_not(walk):
     assert np.array_equal(solved(walk.graph).world_from_node[0], walk.graph.world_from_node[0])
-
-
-def test_verticals_stay_vertical(walk):
     tilt = np.arccos(np.clip(solved(walk.graph).world_from_node[:, 2, 2], -1, 1))
     assert np.degrees(tilt).max() < 1.0
-
-
-def test_an_impossible_loop_says_so_and_by_how_much(walk):
     reasons = [loop.reason for loop in solved(walk.graph).rejected]
     assert any(reason.startswith("impossible: ") and " m and " in reason for reason in reasons)
 
@@ -154,16 +148,10 @@ def test_a_lone_loop_inside_the_gate_is_believed(surprise):
     assert not solved(corridor((0, 5, 1.0), surprise=GATE_CHI2 + 0.1)).accepted
 
 
-def test_a_loop_without_rivals_is_believed_as_if_alone():
+def test_loops_are_believed_alone_or_if_they_agree_or_by_vote():
     assert solved(corridor((0, 2, 0.0), (2, 6, 1.0))).accepted == (0, 1)
-
-
-def test_two_unlikely_loops_are_believed_only_if_they_agree():
     assert solved(corridor((0, 5, 1.0), (0, 5, 0.99))).accepted == (0, 1)
     assert solved(corridor((0, 5, 1.0), (0, 5, -0.9))).accepted == (1,)
-
-
-def test_believed_loops_outvote_a_loop_that_odometry_allows():
     answer = solved(corridor((0, 5, 0.0), (0, 5, 0.0), (0, 5, 1.0), (1, 5, 0.8)))
     assert answer.accepted == (0, 1)
     assert answer.loop_weights.tolist() == [1.0, 1.0, 0.0, 0.0]

@@ -40,11 +40,8 @@ def test_storage_is_counted_as_the_layers_hold_it(map_path, summary):
     assert [row.num_objects for row in summary.layers] == [3, 2, 2, 2]
 
 
-def test_times_come_from_the_folder_and_may_be_absent(summary):
+def test_times_of_layers_and_sides_of_boxes_are_listed(summary):
     assert [row.seconds for row in summary.layers] == [1.5, 0.5, 0.25, None]
-
-
-def test_the_sizes_are_the_sides_of_the_boxes(summary):
     assert sorted(summary.objects[0].size_m) == pytest.approx([0.05, 0.8, 1.2], abs=0.03)
 
 

@@ -28,12 +28,9 @@ def test_a_room_that_is_entered_again_is_a_loop():
     assert off(loop.earlier_from_later, DRIFT)[0] < 0.015
 
 
-def test_another_room_is_no_candidate():
+def test_another_room_and_too_little_surface_make_no_loop():
     elsewhere = surface(room(), own_from_world=shift(9.0, 0.0), seed=1)
     assert search_loops(query(surface(room()), elsewhere), CONFIG) == ()
-
-
-def test_too_little_surface_is_not_searched():
     few = surface([patch([0, 0, 0], [0.5, 0, 0], [0, 0.5, 0], [0, 0, 1])])
     assert search_loops(query(surface(room()), few), CONFIG) == ()
 

@@ -262,15 +262,12 @@ def test_a_core_resumes_from_its_state_with_submaps_and_places():
     assert encode_snapshot(again.snapshot()) == encode_snapshot(core.snapshot())
 
 
-def test_an_unknown_submap_is_refused_and_nothing_moves():
+def test_unknown_or_double_submaps_or_bad_moves_are_refused():
     core = walk()
     before = encode_snapshot(core.snapshot())
     with pytest.raises(ValueError, match="no submap 7; the map has 0 to 2"):
         core.handle(corrected((0, MOVE), (7, MOVE)))
     assert encode_snapshot(core.snapshot()) == before
-
-
-def test_a_bad_transform_and_a_double_submap_are_refused():
     with pytest.raises(ValueError, match="submap 0 is no rigid transform"):
         corrected((0, np.diag([2.0, 1.0, 1.0, 1.0])))
     with pytest.raises(ValueError, match="named twice"):

@@ -110,14 +110,11 @@ def test_every_voxel_of_a_cloud_is_near_it(cells):
     assert is_near(shifted, cloud).all()
 
 
-def test_the_share_near_counts_all_voxels_of_a_small_query():
+def test_shares_near_count_all_of_few_voxels_and_sample_many():
     cloud = cells_cloud(np.array([[0, 0, 0]]))
     queries = keys_of_cells(np.array([[0, 0, 0], [1, 1, 1], [2, 0, 0], [9, 9, 9]]))
     assert share_near(queries, cloud) == pytest.approx(0.5)
     assert share_near(queries[:0], cloud) == 0.0
-
-
-def test_the_share_of_a_sample_is_close_to_that_of_all():
     cells = np.unique(np.random.default_rng(8).integers(0, 60, (6000, 3)), axis=0)
     cloud = cells_cloud(cells[cells[:, 0] < 30])
     keys = np.unique(keys_of_cells(cells))

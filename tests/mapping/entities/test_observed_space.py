@@ -26,13 +26,10 @@ def keys(*values):
     return np.array(values, dtype=np.int64)
 
 
-def test_structure_needs_to_be_seen_twice():
+def test_structure_is_sure_when_seen_twice_and_then_never_free():
     once = space(structure=keys(4, 9))
     assert as_record(after(once)).structure.tolist() == []
     assert as_record(after(once, space(structure=keys(9)))).structure.tolist() == [9]
-
-
-def test_sure_structure_is_not_free_however_many_rays_passed():
     through = space(free=keys(1, 2, 3))
     wall = space(structure=keys(2))
     assert as_record(after(through, wall)).free.tolist() == [1, 2, 3]
@@ -73,14 +70,11 @@ def test_outvoted_structure_is_free_where_rays_passed():
     assert as_record(after(*seen, cupboard, cupboard, wall)).structure.tolist() == [2, 3]
 
 
-def test_a_belief_of_long_ago_can_be_unlearned():
+def test_old_beliefs_are_unlearned_and_endless_looks_add_nothing():
     state = after(*[space(structure=keys(2))] * 2000)
     for _ in range(260):
         state = add(state, space(surface=keys(2)))
     assert as_record(state).structure.tolist() == []
-
-
-def test_an_endless_look_at_one_place_does_not_grow_the_space():
     frame = space(free=keys(1, 2), structure=keys(7))
     record = as_record(after(*[frame] * 600))
     assert (record.free.tolist(), record.structure.tolist()) == ([1, 2], [7])

@@ -42,9 +42,10 @@ def test_s_is_the_papers_formula(variance, r_area, r_depth, expected):
     assert s_score(variance, r_area, r_depth, config) == pytest.approx(expected, abs=1e-6)
 
 
-def test_the_variance_is_that_of_features_of_the_papers_length():
+def test_variance_and_exponents_are_those_of_the_paper():
     # ln(1 + 768 * 0.25) = ln 193
     assert s_score(0.25, 1.0, 1.0, CONFIG) == pytest.approx(5.262690, abs=1e-6)
+    assert (CONFIG.strategy, CONFIG.alpha, CONFIG.beta) == ("s_score", 0.3, 0.5)
 
 
 def test_a_view_cut_by_the_border_is_worth_less():
@@ -52,10 +53,6 @@ def test_a_view_cut_by_the_border_is_worth_less():
     cut = replace(whole, is_cut=True)
     assert score(cut, 0.3, CONFIG) == pytest.approx(CUT_FACTOR * score(whole, 0.3, CONFIG))
     assert score(cut, 0.3, ViewConfig(strategy="max_area")) == score(whole, 0.3, ViewConfig(strategy="max_area"))
-
-
-def test_the_exponents_are_the_papers_by_default():
-    assert (CONFIG.strategy, CONFIG.alpha, CONFIG.beta) == ("s_score", 0.3, 0.5)
 
 
 @given(unit_share, unit_share, unit_share, unit_share)
@@ -120,13 +117,10 @@ def test_the_better_view_does_not_depend_on_the_order(a, b, c):
         assert key(better(better(a, b), c)) == key(better(a, better(b, c)))
 
 
-def test_of_equal_views_the_earlier_is_better():
+def test_the_earlier_of_equal_views_and_any_scored_one_is_better():
     earlier, later = view(3, score=0.2), view(8, score=0.2)
     assert better(earlier, later) is earlier
     assert better(later, earlier) is earlier
-
-
-def test_a_view_without_score_loses_and_no_view_loses_to_any():
     bare, worst = view(0), view(9, score=0.0)
     assert better(bare, worst) is worst
     assert better(worst, bare) is worst

@@ -23,14 +23,11 @@ def block(width, length, height, below=0):
     return np.sort(keys_of_cells(np.stack(steps, axis=-1).reshape(-1, 3)))
 
 
-def test_columns_begin_where_x_or_y_changes():
+def test_columns_begin_where_x_or_y_changes_and_nothing_has_none():
     cells = np.array([(0, 0, 1), (0, 0, 2), (0, 1, 0), (2, 1, 5), (2, 1, 6), (2, 1, 7)])
     starts = column_starts(cells)
     assert starts.tolist() == [0, 2, 3]
     assert column_sizes(starts, len(cells)).tolist() == [2, 1, 3]
-
-
-def test_there_are_no_columns_of_nothing():
     starts = column_starts(np.empty((0, 3), dtype=np.int64))
     assert starts.tolist() == column_sizes(starts, 0).tolist() == []
 

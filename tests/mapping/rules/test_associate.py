@@ -87,15 +87,11 @@ def test_the_larger_of_two_things_on_a_track_is_the_track():
     assert (first.is_part, second.is_part) == (True, False)
 
 
-def test_ties_go_to_the_lower_track_id_in_any_order():
+def test_ties_go_to_the_lower_track_and_the_first_observation():
     points = box_surface((0, 0, 0.1))
     for ids in ((3, 7), (7, 3)):
         tracks = TrackTable({i: track(i, points) for i in ids})
         assert pairs(associate([observation(0, points)], tracks, VOXEL_M, CONFIG)) == {0: 3}
-
-
-def test_of_equal_observations_the_first_is_the_track():
-    points = box_surface((0, 0, 0.1))
     first, second = matched([observation(0, points), observation(1, points)], track(5, points))
     assert (first.track_id, first.is_part) == (5, False)
     assert (second.track_id, second.is_part) == (5, True)
@@ -120,29 +116,23 @@ def test_a_partial_view_that_lies_on_a_track_goes_to_it():
     assert not match.is_part
 
 
-def test_a_thing_in_the_box_of_a_track_off_its_points_is_new():
+def test_a_thing_off_a_tracks_points_or_far_from_all_is_new():
     # Below a table: inside its box, off its surface.
     top, leg = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((-0.55, -0.35, 0.35), (0.04, 0.04, 0.7))
     (match,) = matched([observation(0, box_surface((0.2, 0.1, 0.15)))], track(1, np.concatenate([top, leg])))
     assert match.track_id is None
     assert match.lies_on < CONFIG.min_lies_on
     assert [i for i, _ in match.candidates] == [1]
-
-
-def test_where_nothing_is_near_an_observation_is_new():
     (match,) = matched([observation(0, box_surface((5, 0, 0.1)))], track(1, box_surface((0, 0, 0.1))))
     assert match == Match(observation_index=0, track_id=None, iou=0.0, lies_on=0.0, is_part=False, candidates=())
 
 
-def test_candidates_are_named_best_first_with_exact_iou():
+def test_all_candidates_are_named_best_first_with_exact_iou():
     # Cubes shifted by a quarter and a half of their side: 3/5 and 1/3, but for the steps that their points lie at.
     tracks = [track(1, box_surface((0.1, 0, 0.1))), track(2, box_surface((0.05, 0, 0.1)))]
     (match,) = matched([observation(0, box_surface((0, 0, 0.1)))], *tracks)
     assert [i for i, _ in match.candidates] == [2, 1]
     assert [iou for _, iou in match.candidates] == pytest.approx([3 / 5, 1 / 3], abs=1e-3)
-
-
-def test_every_candidate_is_named_however_many_there_are():
     tracks = [track(i, box_surface((0.01 * i, 0, 0.1))) for i in range(1, 9)]
     (match,) = matched([observation(0, box_surface((0, 0, 0.1)))], *tracks)
     assert [i for i, _ in match.candidates] == list(range(1, 9))

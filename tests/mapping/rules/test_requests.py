@@ -59,11 +59,8 @@ def scored(bare, score, asked_score=0.0, **state):
     return replace(bare, best_view=best, coverage=coverage, shape_state=shape_state)
 
 
-def test_among_new_objects_the_best_view_comes_first():
+def test_the_best_view_and_the_largest_gain_come_first():
     assert asked(scored(seen(1), 0.1), scored(seen(2), 0.3)) == [2, 1]
-
-
-def test_among_renewals_the_largest_gain_comes_first():
     much, little = scored(built(1, new_views=30), 0.30, 0.29), scored(built(2, new_views=30), 0.2, 0.1)
     assert asked(much, little) == [2, 1]
     # It cannot be negative: of two that have not grown, what is new in views decides.
@@ -99,15 +96,12 @@ def test_costs_that_no_job_has_are_refused(name, value):
         RequestConfig(**{name: value})
 
 
-def test_no_more_jobs_are_open_than_allowed():
+def test_no_more_jobs_are_open_than_allowed_and_one_per_object():
     tracks = [seen(i) for i in range(1, 6)]
     assert asked(*tracks) == [1, 2]
     assert asked(*tracks, num_open=1) == [1]
     assert asked(*tracks, num_open=2) == []
     assert asked(*tracks, num_open=7) == []
-
-
-def test_an_object_with_an_open_job_is_not_asked_for_again():
     assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4))) == []
     assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4)), is_final=True) == []
 
@@ -125,14 +119,11 @@ def test_at_the_end_every_missing_shape_is_requested_at_once(phase):
     assert asked(*tracks, num_open=2, is_final=True) == [1, 2, 3, 4, 5, 6, 7]
 
 
-def test_a_shape_is_renewed_after_enough_news_and_time():
+def test_a_shape_is_renewed_after_news_and_time_or_at_the_end():
     assert asked(built(1, new_views=30)) == [1]
     assert asked(built(1, new_views=1)) == []
     assert asked(built(1, new_views=30, asked_s=95)) == []
     assert asked(built(1, new_views=30, asked_s=94)) == [1]
-
-
-def test_at_the_end_a_smaller_gain_renews_a_shape():
     assert asked(built(1, new_views=1), is_final=True) == [1]
     assert asked(built(1), is_final=True) == []
 
@@ -156,11 +147,8 @@ def test_surface_that_is_gone_counts_twice():
     assert asked(shrunk, is_final=True) == [1]
 
 
-def test_at_the_end_points_without_a_view_are_enough():
+def test_objects_without_views_and_failed_ones_come_at_the_end():
     assert asked(seen(1, num_views=0), is_final=True) == [1]
-
-
-def test_an_object_whose_shape_failed_too_often_is_set_aside():
     assert asked(failed(seen(1), failures=1)) == [1]
     assert asked(failed(seen(1), failures=2)) == []
     assert asked(failed(seen(1), failures=2), is_final=True) == []

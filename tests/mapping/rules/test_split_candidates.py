@@ -38,18 +38,12 @@ def test_being_seen_as_one_counts_against_it():
     assert not part.is_object(CONFIG)
 
 
-def test_what_shows_a_part_alone_says_nothing_of_its_host():
+def test_parts_are_told_by_place_and_go_where_their_host_goes():
     parts = with_keyframe({}, 0, PASSED_NS, [(1, cloud(SET))], [])
     parts = with_keyframe(parts, 1, PASSED_NS, [], [(1, cloud(SET))])
     assert [(part.frame_index, part.sightings, part.together_ns) for part in parts[1]] == [(0, 1, 0)]
-
-
-def test_parts_at_different_places_are_different_parts():
     parts = with_keyframe({}, 0, PASSED_NS, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [])
     assert [part.sightings for part in parts[1]] == [1, 1]
-
-
-def test_parts_go_where_their_host_goes():
     parts = with_keyframe({}, 0, PASSED_NS, [(2, cloud(SET))], [])
     assert list(reassigned(parts, 1, 2)) == [1]
 

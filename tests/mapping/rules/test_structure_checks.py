@@ -34,13 +34,10 @@ def test_between_a_seam_and_all_of_a_track_lies_in_a_wall(share, is_told):
         assert cloud.points[in_wall, 2].mean() < cloud.points[~in_wall, 2].mean()
 
 
-def test_a_track_seen_more_often_than_the_wall_stays():
+def test_a_wall_needs_more_keyframes_than_the_track_in_it():
     state = space_with(share_of_box(0.5), 6)
     assert points_in_wall(track(1, BOX, sightings=2), state) is not None
     assert points_in_wall(track(1, BOX, sightings=3), state) is None
-
-
-def test_too_few_keyframes_make_no_wall():
     assert points_in_wall(track(1, BOX, sightings=1), space_with(share_of_box(0.5), 3)) is None
 
 

@@ -79,23 +79,17 @@ def test_a_dropped_track_leaves_no_votes_and_takes_no_others(book, gone):
     assert all(after.votes[known] == votes for known, votes in book.votes.items() if gone not in known)
 
 
-def test_tracks_with_equal_points_are_one_with_the_lower_id():
+def test_equal_tracks_and_a_piece_on_a_larger_one_are_one():
     points = box_surface((0, 0, 0.1))
     assert found(VoteBook(), track(8, points), track(3, points)) == (3, 8)
-
-
-def test_a_piece_that_lies_on_a_larger_track_is_that_track():
     table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
     assert found(VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
 
 
-def test_tracks_that_are_apart_or_side_by_side_are_two():
+def test_tracks_apart_and_a_mug_on_a_table_are_two():
     box = track(1, box_surface((0, 0, 0.1)))
     assert found(VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
     assert found(VoteBook(), box, track(2, box_surface((0.23, 0, 0.1)))) is None
-
-
-def test_a_mug_on_a_table_is_not_the_table():
     table, mug = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((0.2, 0.1, 0.775), (0.08, 0.08, 0.1))
     assert found(VoteBook(), track(1, table), track(2, mug)) is None
 
@@ -169,24 +163,20 @@ def test_points_on_another_track_count_and_a_cover_is_named():
     assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
 
 
-def test_points_that_lie_on_the_own_track_too_stay():
+def test_nothing_is_foreign_on_the_own_track_or_away_from_others():
     points = box_surface((0, 0, 0.1))
     foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, points)])
     assert not foreign.any()
     assert covered == [2]
+    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
+    assert not foreign.any()
+    assert covered == []
 
 
 def test_a_track_that_is_only_brushed_is_not_covered():
     vase, table = box_surface((0, 0, 0.2), (0.08, 0.08, 0.4)), box_surface((0, 0, -0.02), (1.2, 0.8, 0.04))
     _, covered = points_on_others(cloud(vase), track(1, vase), [track(2, table)])
     # The vase's lowest cells are beside the table's: less than a third of it.
-    assert covered == []
-
-
-def test_nothing_is_foreign_where_no_other_track_is():
-    points = box_surface((0, 0, 0.1))
-    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
-    assert not foreign.any()
     assert covered == []
 
 
@@ -203,24 +193,14 @@ def two_tracks():
     return kept, gone
 
 
-def test_a_merged_track_has_the_earliest_and_latest_stamps():
+def test_a_merged_track_has_stamps_points_and_best_views_of_both():
     kept, gone = two_tracks()
     one = merge(kept, gone, VOXEL_M)
     assert (one.id, one.merged_ids) == (1, (5, 6, 7))
     assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
     assert (one.seen_clock_ns, one.seen_through_ns) == (6, 1)
-
-
-def test_a_merged_track_has_the_points_of_both():
-    kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M)
     assert np.array_equal(one.cloud.keys, np.union1d(kept.cloud.keys, gone.cloud.keys))
     assert one.box.contains(one.cloud.points, VOXEL_M).all()
-
-
-def test_a_merged_track_has_the_better_view_of_every_sector():
-    kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M)
     assert (one.best_view.frame_index, one.best_view.score, one.best_view.object_id) == (6, 0.5, 1)
     assert [(sector, kept_view.frame_index) for sector, kept_view in one.coverage] == [(0, 5), (2, 6)]
     assert {kept_view.object_id for kept_view in one.views} == {1}
