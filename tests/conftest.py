@@ -167,8 +167,7 @@ def copy_log(source, target, *, seconds):
 
     with source.open("rb") as read, target.open("wb") as written:
         reader, writer = make_reader(read), Writer(written)
-        summary = reader.get_summary()
-        end_ns = summary.statistics.message_start_time + int(seconds * 1e9)
+        end_ns = reader.get_summary().statistics.message_start_time + int(seconds * 1e9)
         writer.start(profile="ros2")
         channels = {}
         for schema, channel, message in reader.iter_messages(ending_before=end_ns):

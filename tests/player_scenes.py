@@ -56,8 +56,7 @@ class Message:
 def pose_at(stamp_ns):
     """Return world_from_camera of a camera that walks along x and turns slowly; z is up in the world."""
     s = (stamp_ns - START_NS) / 1e9
-    world_from_body = from_rotation_translation(yaw_rotation(0.3 * s), np.array([0.2 * s, 0.1 * s, 0.9]))
-    return world_from_body @ BODY_FROM_CAMERA
+    return from_rotation_translation(yaw_rotation(0.3 * s), np.array([0.2 * s, 0.1 * s, 0.9])) @ BODY_FROM_CAMERA
 
 
 def cast(camera, world_from_camera):

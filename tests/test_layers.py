@@ -1,5 +1,3 @@
-"""The layers: imports point down only and never in circles, asyncio lives in one place, and so does printing."""
-
 import ast
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -139,8 +137,7 @@ def test_nothing_prints_but_the_command_line():
 
 def test_twins_for_tests_are_imported_by_tests_only():
     """What a run needs, such as the scene that warms it up, is no twin for tests."""
-    users = [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))]
-    assert users == []
+    assert [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))] == []
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_of)

@@ -1,5 +1,3 @@
-"""The Python example of the README runs as it is printed."""
-
 import os
 import re
 import subprocess

@@ -21,8 +21,7 @@ def test_the_main_readme_has_180_lines_at_most():
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: str(package.relative_to(ROOT)))
 def test_every_package_has_a_linked_readme(package):
-    text = (package / "README.md").read_text(encoding="utf-8")
-    assert "How to extend it" in text
+    assert "How to extend it" in (package / "README.md").read_text(encoding="utf-8")
     assert f"]({package.relative_to(ROOT)}/README.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 

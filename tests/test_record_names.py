@@ -1,5 +1,3 @@
-"""The file format of the journal: names of its records, of their fields, and of the values of enums."""
-
 import dataclasses
 import json
 from enum import Enum

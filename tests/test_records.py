@@ -176,8 +176,7 @@ def test_every_record_with_arrays_is_among_these():
 @every_array
 def test_an_array_of_a_record_is_a_read_only_copy(record, values, name):
     given = np.array(values[name])
-    made = record(**{**values, name: given})
-    held = getattr(made, name)
+    held = getattr(record(**{**values, name: given}), name)
     before = held.copy()
     given[...] = 1 - given.astype(given.dtype)
     assert np.array_equal(held, before)

@@ -1,5 +1,3 @@
-"""tools/setup.sh with an installer that fails in the ways that a real one does, and with other Pythons."""
-
 import shutil
 import subprocess
 import sys
@@ -182,8 +180,7 @@ def test_an_old_environment_is_updated_or_made_again(checkout):
     assert "updating .venv to requirements.lock" in checkout.set_up()[1]
     assert "uv venv" not in checkout.asked()
     (checkout.folder / "old").touch()
-    told = checkout.set_up()[1]
-    assert "setting up .venv again: its Python is older than 3.11, or gone" in told
+    assert "setting up .venv again: its Python is older than 3.11, or gone" in checkout.set_up()[1]
     assert "uv venv" in checkout.asked()
 
 

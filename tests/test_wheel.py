@@ -1,5 +1,3 @@
-"""The wheel, as a person without the checkout installs it."""
-
 import ast
 import json
 import os

@@ -1,7 +1,6 @@
 """Small maps for alignment: boxes with clouds on a floor that was seen, as `play` would have saved them."""
 
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
@@ -10,7 +9,7 @@ from hickory_stream.records import MapSnapshot, ObservedSpace, Phase, Submap, Tr
 VOXEL_M = 0.1
 
 
-def furniture(count: int, seed: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]]:
+def furniture(count, seed):
     """Return (place, half extents, feature) of boxes that stand apart, all different."""
     rng = np.random.default_rng(seed)
     cells = rng.permutation(36)[:count]
@@ -23,7 +22,7 @@ def furniture(count: int, seed: int) -> list[tuple[NDArray[np.float64], NDArray[
     return items
 
 
-def cloud(place: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:
+def cloud(place, half, rng):
     """Return 1200 points of the surface of a box, with 2 mm of noise."""
     points = rng.uniform(-1, 1, (1200, 3))
     axis = rng.integers(0, 3, 1200)
@@ -31,11 +30,7 @@ def cloud(place: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.
     return (points * half + place + rng.normal(0, 0.002, (1200, 3))).astype(np.float32)
 
 
-def snapshot_of(
-    items: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]],
-    map_from_world: NDArray[np.float64],
-    seed: int = 0,
-) -> MapSnapshot:
+def snapshot_of(items, map_from_world, seed=0):
     """Return the map of boxes in a frame of its own; everything up to 2 m above the floor was seen, and is free."""
     rng = np.random.default_rng(seed)
     objects, solid = [], []
@@ -76,9 +71,9 @@ def snapshot_of(
     )
 
 
-def frame(yaw_deg: float, x: float, y: float, z: float = 0.0) -> NDArray[np.float64]:
+def frame(yaw_deg, x, y, z=0.0):
     return from_rotation_translation(yaw_rotation(np.radians(yaw_deg)), np.array([x, y, z]))
 
 
-def box_at(place: NDArray[np.float64], half_m: float = 0.1) -> OrientedBox:
+def box_at(place, half_m=0.1):
     return OrientedBox(world_from_box=from_rotation_translation(np.eye(3), place), half_extents_m=np.full(3, half_m))

@@ -19,14 +19,9 @@ def test_a_rank_is_the_share_of_pairs_that_are_at_least_as_good():
     assert np.allclose(ranks, [[0.25, 1.0], [0.75, 0.75]])
 
 
-def test_without_scores_every_pair_ranks_the_same():
+def test_unknown_scores_neither_help_nor_hurt():
     assert (fused_log_ranks((None, None), (3, 4)) == np.zeros((3, 4))).all()
-
-
-def test_an_unknown_score_neither_helps_nor_hurts():
-    sure = np.array([[0.9, 0.2, 0.1, 0.3]])
-    unknown = np.full((1, 4), np.nan)
-    assert np.argmin(fused_log_ranks((sure, unknown), (1, 4))) == 0
+    assert np.argmin(fused_log_ranks((np.array([[0.9, 0.2, 0.1, 0.3]]), np.full((1, 4), np.nan)), (1, 4))) == 0
 
 
 @settings(max_examples=25)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal, count_text
 from hickory_stream.alignment.methods import METHODS, align_by
-from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
+from hickory_stream.alignment.object_map import object_map, taken
 from hickory_stream.geometry.rigid import apply, invert
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tools.evaluation.alignment_table import error_of
@@ -18,12 +18,12 @@ from tools.evaluation.simulated_maps.variants import bent_map, mirrored_map, mov
 SEVEN = furniture(7, 7)
 
 
-def aligned(answer: Alignment | NoAlignment) -> Alignment:
+def aligned(answer):
     assert isinstance(answer, Alignment), answer
     return answer
 
 
-def refused(answer: Alignment | NoAlignment) -> NoAlignment:
+def refused(answer):
     assert isinstance(answer, NoAlignment), answer
     return answer
 
@@ -130,16 +130,14 @@ def test_a_mirror_image_is_refused():
     assert Refusal.MIRRORED in kinds
 
 
-def alike(places: np.ndarray) -> ObjectMap:
+def alike(places):
     """Return a map of objects that all look the same."""
-    single = simulate_pair(SimulationConfig(num_objects=4), 0).map_a
-    one = taken(single, np.zeros(len(places), dtype=np.int64))
+    one = taken(simulate_pair(SimulationConfig(num_objects=4), 0).map_a, np.zeros(len(places), dtype=np.int64))
     return replace(one, ids=np.arange(len(places)), centroids=places)
 
 
 def test_a_symmetric_layout_has_a_rival_as_good():
-    rng = np.random.default_rng(0)
-    half = rng.uniform(0.5, 5, (9, 3)) * (1, 1, 0.2)
+    half = np.random.default_rng(0).uniform(0.5, 5, (9, 3)) * (1, 1, 0.2)
     answer = refused(
         align(alike(np.concatenate([half, half * (-1, -1, 1)])), alike(np.concatenate([half, half * (-1, -1, 1)])))
     )
@@ -246,8 +244,7 @@ def test_fixtures_that_stay_outweigh_what_was_moved():
 
 
 def test_a_map_that_drifted_is_still_found():
-    items = furniture(16, 5)
-    map_a = object_map(snapshot_of(items, np.eye(4)))
+    map_a = object_map(snapshot_of(furniture(16, 5), np.eye(4)))
     answer = aligned(align(map_a, bent_map(map_a, 0.5)))
     assert error_of(answer.a_from_b, np.eye(4), answer.center_a).translation_m < 0.1
 

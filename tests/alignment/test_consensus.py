@@ -7,7 +7,7 @@ from hickory_stream.alignment.consensus import ConsensusConfig, ascended_clique,
 from tests.strategies import seeds
 
 
-def graph(linked: np.ndarray, log_ranks: np.ndarray) -> Affinity:
+def graph(linked, log_ranks):
     rows, columns = np.nonzero(linked)
     count = len(linked)
     return Affinity(
@@ -19,11 +19,11 @@ def graph(linked: np.ndarray, log_ranks: np.ndarray) -> Affinity:
     )
 
 
-def is_clique(linked: np.ndarray, members: np.ndarray) -> bool:
+def is_clique(linked, members):
     return all(linked[i, j] for i, j in combinations(members, 2))
 
 
-def random_graph(seed: int, count: int, share: float) -> np.ndarray:
+def random_graph(seed, count, share):
     upper = np.triu(np.random.default_rng(seed).random((count, count)) < share, 1)
     return upper | upper.T
 

@@ -4,7 +4,7 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import NoAlignment
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import grouped_probability, log_prices
-from tools.evaluation.simulated_maps.simulate import SimulatedObject, SimulatedWorld, random_pose
+from tools.evaluation.simulated_maps.simulate import SimulatedWorld, random_pose
 
 ALIKE, V = np.log(0.005), 110.0
 
@@ -29,7 +29,7 @@ def test_a_group_costs_less_where_objects_are_less_alike():
     assert not log_prices(points, np.full(5, ALIKE), 0.0, V).any()
 
 
-def groups(rng: np.random.Generator, count: int) -> np.ndarray:
+def groups(rng, count):
     """Return objects in groups of five, half a metre about a middle."""
     middles = rng.uniform(-4, 4, (count, 1, 2))
     return np.concatenate([(middles + rng.normal(0, 0.3, (count, 5, 2))).reshape(-1, 2), np.zeros((5 * count, 1))], 1)
@@ -44,7 +44,7 @@ def test_whether_things_stand_in_groups_is_seen_in_the_maps():
     assert grouped_probability((even[0][:2], even[1][:2])) == pytest.approx(0.5, abs=0.3)
 
 
-def room(world: SimulatedWorld, rng: np.random.Generator, group: list[SimulatedObject]) -> list[SimulatedObject]:
+def room(world, rng, group):
     """Return a group that every home has, and things of this home, in groups of their own."""
     own = [world.new_object(np.array([*place, rng.uniform(0, 1)])) for place in groups(rng, 4)[:, :2] + (5.0, 0.0)]
     return [*group, *own]

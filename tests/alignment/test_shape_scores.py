@@ -10,7 +10,7 @@ from tools.evaluation.simulated_maps.simulate import real_fits
 from tools.evaluation.simulated_maps.variants import moved_map
 
 
-def map_of(shapes: list[Superquadrics | None]) -> ObjectMap:
+def map_of(shapes):
     count = len(shapes)
     return ObjectMap(
         ids=np.arange(count), centroids=np.zeros((count, 3)), features=None, shapes=tuple(shapes),
@@ -48,7 +48,7 @@ def test_an_object_without_shape_has_no_score():
 
 
 def test_the_literal_score_is_the_papers_formula():
-    def two(e: float, large: float) -> Superquadrics:
+    def two(e, large):
         return Superquadrics(
             exponents=np.array([[e, 1.0], [1.0, 1.0]]),
             semi_axes_m=np.array([[large, large, large], [0.5, 0.5, 0.5]]),
@@ -76,8 +76,7 @@ def test_the_box_of_a_shape_holds_it_and_touches_it():
 
 
 def test_boxes_and_clouds_of_one_object_score_one():
-    rng = np.random.default_rng(0)
-    cloud = rng.normal(size=(50, 3)).astype(np.float32) * np.float32([1, 0.5, 0.1])
+    cloud = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32) * np.float32([1, 0.5, 0.1])
     plain = replace(map_of([None]), points=(cloud,))
     assert np.isclose(box_scores(plain, plain), 1.0).all()
     assert np.isclose(point_scores(plain, moved_map(plain, frame(70, 1, 2))), 1.0, atol=1e-3).all()

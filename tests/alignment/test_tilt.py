@@ -6,13 +6,13 @@ from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotatio
 SIGMAS = np.radians([0.1, 0.5, 2.0, 10.0])
 
 
-def turned(tilt_deg: float, azimuth_rad: float) -> np.ndarray:
+def turned(tilt_deg, azimuth_rad):
     axis = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     tilt = Rotation.from_rotvec(np.radians(tilt_deg) * axis).as_matrix()
     return from_rotation_translation(tilt @ yaw_rotation(0.7), np.array([1.0, 2.0, 3.0]))
 
 
-def covariance(tilt_sigma_deg: float) -> np.ndarray:
+def covariance(tilt_sigma_deg):
     return np.diag([np.radians(tilt_sigma_deg) ** 2] * 3 + [0.02**2] * 3)
 
 

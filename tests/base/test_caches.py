@@ -76,8 +76,7 @@ def test_kernels_need_no_home_and_the_next_process_loads_them(tmp_path, no_folde
     assert told.stdout == "5\n"
     assert len(told.stderr.splitlines()) == 1
     assert f"caches cannot be kept in {no_folder}/.cache/hickory-stream (Not a directory)" in told.stderr
-    made = list((tmp_path / "tmp").rglob("*.nbc"))
-    assert len(made) == 2
+    assert len(list((tmp_path / "tmp").rglob("*.nbc"))) == 2
     hits = "; print(sum(five.stats.cache_hits.values()))"
     assert run_python(RUN + hits, folder=package, **places).stdout == "5\n1\n"
 

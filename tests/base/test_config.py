@@ -72,11 +72,8 @@ def refusal(file, text, kind=Settings):
     return str(caught.value)
 
 
-def test_no_file_gives_the_defaults():
+def test_no_file_and_the_defaults_written_out_give_the_defaults(file):
     assert read_config(Settings, None) == Settings()
-
-
-def test_the_defaults_written_out_are_the_defaults(file):
     file.write_text(to_toml(Settings()))
     assert read_config(Settings, file) == Settings()
 
@@ -96,15 +93,12 @@ def test_every_value_is_written_out():
     )
 
 
-def test_a_file_needs_to_name_only_what_differs(file):
+def test_a_file_names_what_differs_and_an_override_wins(file):
     file.write_text("[mapper.keyframes]\nmin_interval_s = 1\n")
     read = read_config(Settings, file)
     assert read.mapper.keyframes.min_interval_s == 1.0
     assert isinstance(read.mapper.keyframes.min_interval_s, float)
     assert read.mapper.mapping == Settings().mapper.mapping
-
-
-def test_an_override_wins_over_the_file(file):
     file.write_text("[mapper.run]\nworkers = 3\ncrop_margin = 0.2\n")
     run = read_config(Settings, file, ("mapper.run.workers=5",)).mapper.run
     assert (run.workers, run.crop_margin) == (5, 0.2)
@@ -213,24 +207,18 @@ def test_a_value_that_its_owner_refuses_is_named(file, text):
     assert text.split("\n")[1].split(" ")[0] in refusal(file, text)
 
 
-def test_what_is_no_toml_is_said_with_its_line(file):
+def test_no_toml_and_a_missing_file_are_refused(file, tmp_path):
     assert "is not TOML" in refusal(file, "[mapper\n")
     file.write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match="is not TOML"):
         read_config(Settings, file)
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"cannot read the configuration .*none\.toml: No such file"):
         read_config(Settings, tmp_path / "none.toml")
 
 
-def test_the_python_api_takes_the_mappers_sections_alone(file):
+def test_the_mappers_section_is_read_alone_and_from_a_manifest(file):
     file.write_text("[run]\nworkers = 2\n")
     assert read_config(MapperConfig, file) == MapperConfig(run=RunConfig(workers=2))
-
-
-def test_a_configuration_is_read_again_as_a_manifest_has_it():
     config = MapperConfig()
     assert from_dict(MapperConfig, json.loads(json.dumps(dataclasses.asdict(config)))) == config
 
@@ -262,8 +250,7 @@ def test_the_voxels_of_an_older_map_keep_their_sizes(old):
 
 def test_an_older_configuration_loses_what_is_constant_now():
     old = {"split": {"min_apart_s": 3.0, "apart_ratio": 2}, "support": {"level_m": 0.15}}
-    config = from_dict(MapperConfig, with_current_names({"mapping": old}))
-    assert config.mapping.split.min_apart_s == 3.0
+    assert from_dict(MapperConfig, with_current_names({"mapping": old})).mapping.split.min_apart_s == 3.0
     old["support"]["level_m"] = 0.2
     with pytest.raises(ConfigError, match=r"mapping.support.level_m .* it is fixed at 0.15 now"):
         from_dict(MapperConfig, with_current_names({"mapping": old}))

@@ -30,14 +30,11 @@ def test_frame_and_order_of_a_map_change_nothing(fleet):
     assert found
 
 
-def test_a_map_without_objects_or_features_overlaps_nothing(fleet):
+def test_equal_maps_are_a_pair_and_empty_ones_overlap_nothing(fleet):
     empty = taken(fleet.maps[0], np.empty(0, dtype=np.int64))
     one = taken(fleet.maps[0], np.array([0]))
     assert candidate_pairs(place_signatures([empty, one, fleet.maps[1]])) == {}
     assert candidate_pairs(place_signatures([])) == {}
-
-
-def test_the_same_map_twice_is_a_pair_of_compact_signatures(fleet):
     signatures = place_signatures([fleet.maps[0], fleet.maps[0]])
     assert list(candidate_pairs(signatures)) == [(0, 1)]
     assert signatures[0].num_bytes < 400 * len(fleet.maps[0])

@@ -94,13 +94,10 @@ def test_of_two_alike_objects_neither_is_known_to_have_moved():
     assert shared[0].probability < certain.probability
 
 
-def test_a_plate_is_not_still_there_because_its_table_is():
+def test_a_gone_plate_is_gone_and_empty_maps_have_no_changes():
     table = crate(1, 1.5, 3.0, (1.2, 0.8, 0.7), BLUE)
     bowl = make_object(2, box_mesh((0.3, 0.3, 0.2), RED), placed(1.5, 3.0, 0.81))
     assert said(snapshot(table, bowl), snapshot(table))[(2, None)] is Verdict.GONE
-
-
-def test_empty_maps_have_no_changes():
     assert compared(snapshot(), snapshot()).changes == ()
     assert said(snapshot(), snapshot(STAYS)) == {(None, 1): Verdict.NEW}
 

@@ -35,8 +35,7 @@ def test_one_move_makes_no_object_one_that_tends_to_move():
     once = day({}, (Verdict.MOVED, 1, 1, 1.0))
     twice = day(once, (Verdict.MOVED, 1, 1, 1.0))
     back = day(twice, (Verdict.STILL_THERE, 1, 1, 1.0))
-    movable = [Stationarity(digest="d", counts=counts).movable() for counts in (once, twice, back)]
-    assert movable == [[], [1], []]
+    assert [Stationarity(digest="d", counts=counts).movable() for counts in (once, twice, back)] == [[], [1], []]
 
 
 def test_an_unseen_object_says_nothing_and_a_new_one_came_once():

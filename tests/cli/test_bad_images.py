@@ -1,5 +1,3 @@
-"""Logs whose images are not as one would have them, through the command line: each is mapped, or says why not."""
-
 import json
 from dataclasses import replace
 import cv2
@@ -91,8 +89,7 @@ class _Log(ZedLog):
 def doctor(log, capsys):
     capsys.readouterr()
     main(["doctor", str(log), "--json"])
-    told = json.loads(capsys.readouterr().out)
-    return told
+    return json.loads(capsys.readouterr().out)
 
 
 def mapped(log, folder, *overrides):

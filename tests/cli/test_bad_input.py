@@ -294,8 +294,7 @@ def test_a_bad_number_is_refused_in_one_line(log, tmp_path, run, kind, value):
         "profile": "depth_units_per_m",
     }[kind]
     file.write_text(f"{key} = {value}\n")
-    folder = create_map_folder(tmp_path / "map", config={}, source={})
-    folder.close()
+    create_map_folder(tmp_path / "map", config={}, source={}).close()
     ended = {
         "config": lambda: run("config", "check", file),
         "robot": lambda: run("plan", tmp_path / "map", "--start", "0,0", "--goal", "1,1", "--robot", file),

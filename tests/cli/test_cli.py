@@ -1,5 +1,3 @@
-"""The commands as processes of their own, on the first seconds of the demo recording."""
-
 import contextlib
 import io
 import json
@@ -392,8 +390,7 @@ def test_textures_come_with_the_viewer_and_pictures_on_request(made, tmp_path):
         drawn = look("render", made.by_one, "-o", out, "--layers", 2, "--size", "480x240", "--texture", texture)
         assert drawn.status == 0, drawn.stderr
         pictures.append(cv2.imread(str(out)).astype(int))
-    difference = np.abs(pictures[0] - pictures[1])
-    assert 0 < difference.mean() < 10
+    assert 0 < np.abs(pictures[0] - pictures[1]).mean() < 10
 
 
 def test_a_damaged_view_is_named_and_texture_0_still_exports(made, tmp_path):

@@ -1,5 +1,3 @@
-"""`align`, `tools/paper alignment` and `relocalise` as a person calls them."""
-
 import json
 import cv2
 import numpy as np
@@ -62,8 +60,7 @@ def test_two_different_places_end_with_status_3_and_the_reason(maps, other, refu
 
 def test_pictures_and_recordings_are_written(maps, tmp_path):
     assert main(["align", maps["a"], maps["b"], "-o", str(tmp_path / "p.png")]) == 0
-    picture = cv2.imread(str(tmp_path / "p.png"))
-    assert picture.shape == (800, 1600, 3)
+    assert cv2.imread(str(tmp_path / "p.png")).shape == (800, 1600, 3)
     assert main(["align", maps["a"], maps["other"], "-o", str(tmp_path / "q.rrd")]) == 3
     assert (tmp_path / "q.rrd").stat().st_size > 1000
 

@@ -1,5 +1,3 @@
-"""`diff` of two maps from the command line: what it prints, its page, and what it refuses."""
-
 import json
 from dataclasses import replace
 from itertools import pairwise

@@ -1,5 +1,3 @@
-"""`hickory-stream demo`: what it replaces and what it refuses; `test_wheel.py` has what it makes."""
-
 from hickory_stream.cli import main
 
 

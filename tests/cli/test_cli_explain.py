@@ -1,5 +1,3 @@
-"""`explain` on a map of the first seconds of the demo: places, pixels and truth, and killed runs."""
-
 import html
 import json
 import shutil
@@ -107,8 +105,7 @@ def test_a_floor_place_was_structure_and_an_air_place_free(short_map, explain):
     assert told["asked"]["text"] == "taken for structure"
     own = next(sighting for sighting in told["sightings"] if sighting["frame"] == frame)
     assert own["where"] == "structure"
-    camera = step.keyframe.observed.world_from_camera[:3, 3]
-    between = (camera + np.array(told["point_m"])) / 2
+    between = (step.keyframe.observed.world_from_camera[:3, 3] + np.array(told["point_m"])) / 2
     told = explain.json(short_map, f"--point={','.join(map(str, between))}")
     assert next(s for s in told["sightings"] if s["frame"] == frame)["where"] == "looked through"
     assert told["verdict"].startswith("in no object; of ")

@@ -1,5 +1,3 @@
-"""Export of maps: formats by their endings, closed meshes, the trajectory, and the page."""
-
 import json
 from dataclasses import replace
 import numpy as np

@@ -1,5 +1,3 @@
-"""`hickory-stream fleet` on a made set of robots, each a process of its own."""
-
 import json
 import shutil
 from dataclasses import dataclass

@@ -1,5 +1,3 @@
-"""What `play`, `inspect` and `doctor` say of a log whose gravity is off: a folder in the layout of TUM."""
-
 import json
 import re
 import numpy as np

@@ -1,5 +1,3 @@
-"""What the command line says of itself: help with examples, completion in a shell, the READMEs' lines, public names."""
-
 import re
 import shlex
 import shutil

@@ -1,5 +1,3 @@
-"""The history of a map from the command line: killed and resumed, looked back at, compared, repeated, exported."""
-
 import re
 import signal
 from dataclasses import replace

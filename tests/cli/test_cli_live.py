@@ -1,5 +1,3 @@
-"""`hickory-stream live` from the command line."""
-
 import json
 import os
 import signal

@@ -1,5 +1,3 @@
-"""Planning, the comparison with truth and the exports from the command line, on a map of a table in a seen room."""
-
 import json
 from dataclasses import replace
 import cv2
@@ -43,8 +41,7 @@ def folder(tmp_path_factory):
 
 
 def told(capsys):
-    answer = json.loads(capsys.readouterr().out)
-    return answer
+    return json.loads(capsys.readouterr().out)
 
 
 def test_plan_prints_the_path_and_draws_it(folder, tmp_path, capsys):

@@ -1,5 +1,3 @@
-"""Questions from the command line, and a way to what answers, on a map of a table with a box on it."""
-
 import json
 from dataclasses import replace
 import cv2
@@ -58,8 +56,7 @@ def test_plan_leads_to_a_place_beside_an_object(tmp_path, capsys):
     assert main([*command, "--goal", "object:2"]) == 0
     x, y = json.loads(capsys.readouterr().out)["points"][-1]
     # The crate reaches from 4.1 to 4.9 m and from 0.7 to 1.3 m, and its layer 4 ends there.
-    beside = np.hypot(max(4.1 - x, 0, x - 4.9), max(0.7 - y, 0, y - 1.3))
-    assert 0 < beside < 0.3
+    assert 0 < np.hypot(max(4.1 - x, 0, x - 4.9), max(0.7 - y, 0, y - 1.3)) < 0.3
     assert main([*command, "--goal", "object:1", "--start", "1.5,2.0"]) in (0, 3)
     capsys.readouterr()
     for goal, complaint in (("object:9", "has no object 9"), ("object:x", "expected X,Y in metres, or object:ID")):

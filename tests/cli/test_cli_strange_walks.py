@@ -1,5 +1,3 @@
-"""What `play` and `inspect` say of walks that no odometry survives: carried away, a lift, a camera that stops."""
-
 import json
 import cv2
 import numpy as np

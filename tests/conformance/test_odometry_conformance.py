@@ -1,5 +1,3 @@
-"""What every odometry owes whoever plays a log by it, shown on one walk through an empty room."""
-
 from functools import partial
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-"""What every reconstructor owes the map, shown on the same views of the same boxes."""
-
 from dataclasses import replace
 from typing import get_args
 import numpy as np
@@ -23,8 +21,7 @@ TRUE_VOLUME_M3 = float(np.prod(np.array(TRUTH.high) - np.array(TRUTH.low)))
 
 
 def reconstructors():
-    embedded = ("fused", "single_view")
-    ours = {name: make_reconstructor(name, ShapeConfig()) for name in embedded}
+    ours = {name: make_reconstructor(name, ShapeConfig()) for name in ("fused", "single_view")}
     # One process of the generator serves all of them.
     ours["external"] = make_reconstructor("external", ShapeConfig(), box_generator())
     # A reconstructor of one's own adds its line here.

@@ -1,5 +1,3 @@
-"""What every segmenter owes the mapper, shown on the same rendered boxes."""
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import numpy as np

@@ -1,5 +1,3 @@
-"""What every sink owes the engine, shown on the reports of a real run of two rounds: with shapes and a jump of time."""
-
 import itertools
 import shutil
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""What every source owes its readers, shown on one scene written in every format."""
-
 import shutil
 import cv2
 import numpy as np
@@ -184,8 +182,7 @@ def test_the_identity_moves_with_the_log_and_differs_from_others(source, recordi
     copy = tmp_path / "elsewhere" / path.name
     (shutil.copytree if path.is_dir() else _copy_file)(path, copy)
     assert opened(copy).info.identity == source.info.identity
-    shorter = write(tmp_path / "log", TRUTH[:-1])
-    assert opened(shorter).info.identity != source.info.identity
+    assert opened(write(tmp_path / "log", TRUTH[:-1])).info.identity != source.info.identity
 
 
 def test_a_log_without_the_files_it_needs_is_an_input_error(recording, tmp_path):

@@ -1,5 +1,3 @@
-"""What every kind of shape workers must do, here and on a cluster: the same jobs, the same answers."""
-
 import asyncio
 import json
 import pytest

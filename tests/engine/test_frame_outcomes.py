@@ -1,5 +1,3 @@
-"""Every frame has one outcome: which of those that have come is mapped, and what the others are counted as."""
-
 from dataclasses import replace
 import numpy as np
 from hickory_stream.box_scene import SceneSource
@@ -39,14 +37,10 @@ def test_a_live_run_maps_the_newest_candidate_alone():
     ]
 
 
-def test_a_frame_mapped_for_a_candidate_leaves_neither_dropped():
+def test_a_candidate_is_mapped_dropped_or_replaced():
     choice = KeyframeChoice("live", CONFIG)
     come = [read(0.0, is_candidate=True), read(FAR_M, is_candidate=False, seconds=1.0)]
     assert choice.outcomes(come) == [FrameOutcome.BETWEEN, FrameOutcome.MAPPED]
-
-
-def test_a_withdrawn_candidate_is_dropped_if_nothing_is_mapped():
-    choice = KeyframeChoice("live", CONFIG)
     assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.MAPPED]
     assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.DROPPED]
     assert choice.outcomes([read(0.0, is_candidate=False)]) == [FrameOutcome.BETWEEN]

@@ -1,5 +1,3 @@
-"""What is missing at the end of a run is told, and no file is cut off: failed shapes, damaged logs, full disks."""
-
 import io
 import json
 import resource

@@ -1,5 +1,3 @@
-"""What is kept of a keyframe's images."""
-
 from dataclasses import replace
 import cv2
 import numpy as np

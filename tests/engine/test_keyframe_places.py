@@ -140,8 +140,7 @@ def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):
     def step_of(i):
         return i + 20 if 8 <= i < 11 else i
 
-    source = Unaware(room(NUM_FRAMES, step_of), scene_pose)
-    run = mapped(tmp_path, source, step_of=step_of)
+    run = mapped(tmp_path, Unaware(room(NUM_FRAMES, step_of), scene_pose), step_of=step_of)
     frames = open_map(run.folder.path).ledger["frames"]
     assert frames["keyframes_kept_out"] == 3
     assert frames["keyframes"] == NUM_FRAMES - 3

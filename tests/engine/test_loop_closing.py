@@ -54,8 +54,7 @@ def closed(tmp_path_factory):
 
 def worst_place_m(found):
     """How far the last submap is from where it is in truth, against the first one."""
-    submap = found.snapshots[-1].submaps[-1]
-    there = compose(submap.world_from_submap, drift(NUM_FRAMES - 1))
+    there = compose(found.snapshots[-1].submaps[-1].world_from_submap, drift(NUM_FRAMES - 1))
     return float(np.linalg.norm(there[:3, 3]))
 
 

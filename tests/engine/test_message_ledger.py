@@ -1,5 +1,3 @@
-"""The account of a log's messages, completed by what the run made of the frames."""
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.accounting import message_ledger
 from players import open_source
@@ -24,8 +22,7 @@ def test_images_of_frames_that_were_no_keyframes_were_not_needed(tmp_path):
 
 
 def test_what_was_not_played_is_told_apart(tmp_path):
-    log = scenes.write_mcap(tmp_path / "log.mcap", M, LOG)
-    source = FirstFrames(open_source(log), 2)
+    source = FirstFrames(open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG)), 2)
     assert len(list(source.frames())) == 2
     account = message_ledger(source, {"read": 2, "keyframes": 2})
     assert account["not_played"] > 0
@@ -34,8 +31,7 @@ def test_what_was_not_played_is_told_apart(tmp_path):
 
 
 def test_a_log_that_is_played_with_faults_has_its_ledger_too(tmp_path):
-    log = open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG))
-    source = FaultySource(log, Faults(drop=0.5), seed=3)
+    source = FaultySource(open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG)), Faults(drop=0.5), seed=3)
     read = len(list(source.frames()))
     assert 0 < read < len(TRUTH)
     account = message_ledger(source, {"read": read, "keyframes": 1})

@@ -1,5 +1,3 @@
-"""Networks on a device that takes its time: they run side by side, and a failure costs one frame."""
-
 import asyncio
 import json
 import threading
@@ -88,8 +86,7 @@ def test_the_next_frame_enters_a_network_that_is_free():
 
 @pytest.mark.parametrize(("mode", "rate"), [("playback", None), ("live", 3.0)])
 def test_a_network_that_fails_in_a_frame_costs_that_frame(tmp_path, caplog, mode, rate):
-    segmenter = Device(lambda _: None, failing={2})
-    run = map_scene(tmp_path, *NO_SHAPES, segmenter=segmenter, mode=mode, rate=rate)
+    run = map_scene(tmp_path, *NO_SHAPES, segmenter=Device(lambda _: None, failing={2}), mode=mode, rate=rate)
     frames = json.loads((run.folder.path / "ledger.json").read_text())["frames"]
     assert frames["keyframes_failed"] == 1
     assert frames["keyframes"] >= 1

@@ -1,5 +1,3 @@
-"""Whether the pacer waits is seen from whether its coroutine gives up control, not from a clock."""
-
 import asyncio
 from hypothesis import given
 from hypothesis import strategies as st

@@ -18,13 +18,10 @@ FRAME = RAW.decode()
 SEGMENTER = GeometricSegmenter(GeometricConfig())
 
 
-def test_without_a_configured_sensor_a_frame_is_unchanged():
+def test_a_configured_sensor_replaces_the_one_of_the_source():
     frame = sensed(FRAME, 7, SensorConfig())
     assert (frame.index, frame.sensor) == (7, FRAME.sensor)
     assert frame.depth_m is FRAME.depth_m
-
-
-def test_a_configured_bias_replaces_the_one_of_the_source():
     source = replace(FRAME, sensor=DepthSensor(bias_m=0.03, noise_per_m=0.001))
     frame = sensed(source, 0, SensorConfig(bias_m=0.05, max_m=2.5))
     assert frame.sensor == DepthSensor(bias_m=0.05, noise_per_m=0.001, max_m=2.5)
@@ -35,8 +32,7 @@ def test_a_configured_bias_replaces_the_one_of_the_source():
 
 def test_a_playback_keyframe_comes_with_all_that_needs_no_map():
     reads = asyncio.run(_read(SceneSource(4)))
-    candidates = [read for read in reads if read.is_candidate]
-    assert candidates
+    assert [read for read in reads if read.is_candidate]
     config = MapperConfig()
     for read in reads:
         if read.frame is None:

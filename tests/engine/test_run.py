@@ -126,8 +126,7 @@ def test_a_source_with_its_own_error_leaves_no_child(tmp_path):
 
 
 def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path):
-    run = map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop_at(2), child_workers=True)
-    saved = open_map(run.folder.path)
+    saved = open_map(map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop_at(2), child_workers=True).folder.path)
     assert not saved.manifest.finished_cleanly
     assert 2 <= saved.ledger["frames"]["keyframes"] < NUM_FRAMES
     assert len(saved.snapshot.objects) == 3
@@ -140,8 +139,7 @@ def test_a_stop_does_not_wait_for_all_last_shapes(tmp_path):
             mapper.stop()
 
     patience = ("mapping.requests.first_sightings=99", "run.grace_s=0.0")
-    run = map_scene(tmp_path, *patience, on_progress=stop, child_workers=True)
-    saved = open_map(run.folder.path)
+    saved = open_map(map_scene(tmp_path, *patience, on_progress=stop, child_workers=True).folder.path)
     assert not saved.manifest.finished_cleanly
     assert 1 <= sum(tracked.shape is not None for tracked in saved.snapshot.objects) < 3
     assert shape_workers() == []

@@ -1,10 +1,8 @@
-"""Where frames and time went, from counts and times that are known."""
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.accounting import run_ledger, run_timings
 
 
-def test_late_frames_count_as_read_and_zero_counts_are_hidden():
+def test_late_frames_and_a_readers_own_counts_are_accounted_for():
     ledger = run_ledger(
         SceneSource(2), num_frames=8, num_keyframes=3,
         counts={"frames_late": 2, "between_keyframes": 5, "time_jumps": 0}, shapes={"ready": 1}, num_not_shown=0,
@@ -12,9 +10,6 @@ def test_late_frames_count_as_read_and_zero_counts_are_hidden():
     assert ledger["frames"] == {"read": 10, "keyframes": 3, "frames_late": 2, "between_keyframes": 5}
     assert ledger["shapes"] == {"ready": 1}
     assert "messages" not in ledger
-
-
-def test_a_readers_own_counts_are_used_and_untaken_reports_told():
     ledger = run_ledger(SceneSource(2), num_frames=8, num_keyframes=3, counts={"read": 12}, shapes={}, num_not_shown=4)
     assert ledger["frames"] == {"read": 12, "keyframes": 3, "reports_not_shown": 4}
 

@@ -1,5 +1,3 @@
-"""Where a run stands, and where the stamps of its frames jump."""
-
 from dataclasses import replace
 import pytest
 from hickory_stream.box_scene import SceneSource

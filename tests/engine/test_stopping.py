@@ -1,5 +1,3 @@
-"""The request to end a run, and how long what was begun may still take."""
-
 import asyncio
 import pytest
 from hickory_stream.engine.async_tools import StopRequest

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,7 +7,7 @@ from hickory_stream.alignment.object_map import object_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, quaternion_from_rotation
 from hickory_stream.pictures.render_alignment import render_alignment
-from hickory_stream.records import MapSnapshot, View
+from hickory_stream.records import View
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tools.evaluation.alignment_table import format_table, row_of, table_json
 from tools.evaluation.alignment_truth import TrueTrajectory, pose_at, read_true_trajectory, world_from_map
@@ -20,7 +19,7 @@ BODY_FROM_CAMERA = from_rotation_translation(
 )
 
 
-def body_poses(count: int = 40) -> np.ndarray:
+def body_poses(count=40):
     rng = np.random.default_rng(0)
     poses = []
     for i in range(count):
@@ -29,7 +28,7 @@ def body_poses(count: int = 40) -> np.ndarray:
     return np.array(poses)
 
 
-def map_with_views(cameras: np.ndarray) -> MapSnapshot:
+def map_with_views(cameras):
     snapshot = snapshot_of(furniture(4, 0), np.eye(4))
     views = tuple(
         View(
@@ -51,7 +50,7 @@ def map_with_views(cameras: np.ndarray) -> MapSnapshot:
     return replace(snapshot, objects=(replace(first, views=views), *others))
 
 
-def write_csv(path: Path, poses: np.ndarray) -> Path:
+def write_csv(path, poses):
     rows = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
     for i, pose in enumerate(poses):
         x, y, z, w = quaternion_from_rotation(pose[:3, :3])
@@ -60,7 +59,7 @@ def write_csv(path: Path, poses: np.ndarray) -> Path:
     return path
 
 
-def write_tum(path: Path, poses: np.ndarray) -> Path:
+def write_tum(path, poses):
     rows = ["# timestamp tx ty tz qx qy qz qw"]
     for i, pose in enumerate(poses):
         stamp = START_NS + i * STEP_NS
@@ -71,7 +70,7 @@ def write_tum(path: Path, poses: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("write", [write_csv, write_tum])
-def test_a_body_trajectory_places_the_map_for_any_camera_mount(write, tmp_path):  # type: ignore[no-untyped-def]
+def test_a_body_trajectory_places_the_map_for_any_camera_mount(write, tmp_path):
     bodies = body_poses()
     true = frame(50, 3, -2, 0.5)
     snapshot = map_with_views(np.array([invert(true) @ body @ BODY_FROM_CAMERA for body in bodies]))
@@ -86,15 +85,13 @@ def test_a_camera_trajectory_is_taken_as_it_is_up_to_mean_drift():
     truth = TrueTrajectory(stamps_ns=START_NS + STEP_NS * np.arange(40), world_from_body=cameras, is_camera=True)
     drifting = np.array([invert(true) @ camera for camera in cameras])
     drifting[:, 0, 3] += np.linspace(-0.1, 0.1, 40)
-    found = world_from_map(map_with_views(drifting), truth, "m")
-    assert np.allclose(found, true, atol=0.02)
+    assert np.allclose(world_from_map(map_with_views(drifting), truth, "m"), true, atol=0.02)
 
 
 def test_truth_is_interpolated_between_poses_and_not_over_gaps():
     poses = body_poses(3)
     truth = TrueTrajectory(stamps_ns=np.array([0, 100_000_000, 2_000_000_000]), world_from_body=poses, is_camera=True)
-    middle = pose_at(truth, 50_000_000)
-    assert np.allclose(middle[:3, 3], poses[:2, :3, 3].mean(axis=0))
+    assert np.allclose(pose_at(truth, 50_000_000)[:3, 3], poses[:2, :3, 3].mean(axis=0))
     assert pose_at(truth, 1_000_000_000) is None
     assert pose_at(truth, -1) is None
     assert pose_at(truth, 2_000_000_001) is None

@@ -1,5 +1,3 @@
-"""Annotations of data sets as truth: of folders as their writers make them, whose truth is known."""
-
 import json
 import numpy as np
 import pytest

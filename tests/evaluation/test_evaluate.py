@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from pathlib import Path
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject, load
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import write_crop
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.ports import Crop
@@ -27,7 +26,7 @@ LOOKING_ALONG_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
 EYE = np.array([-2.0, 0.0, 0.2])
 
 
-def truth_in(folder: Path, *, stamp_ns: int = STAMP_NS, eye: np.ndarray = EYE) -> Truth:
+def truth_in(folder, *, stamp_ns=STAMP_NS, eye=EYE):
     """A cube of 40 cm at the origin, seen by one camera whose image shows its front face, and nothing else."""
     for part in ("meshes", "instances"):
         (folder / part).mkdir(parents=True, exist_ok=True)
@@ -50,7 +49,7 @@ def truth_in(folder: Path, *, stamp_ns: int = STAMP_NS, eye: np.ndarray = EYE) -
     return load_truth(folder)
 
 
-def map_in(folder: Path, *, shift_m: float = 0.0, with_shape: bool = True, is_empty: bool = False) -> SavedMap:
+def map_in(folder, *, shift_m=0.0, with_shape=True, is_empty=False):
     """The cube as a map has it, `shift_m` along x, with one kept view."""
     made = create_map_folder(folder, config={}, source={}, overwrite=False)
     mesh, pose = box_mesh(SIDES, (90, 120, 90)), placed(shift_m, 0.0, 0.2)
@@ -120,13 +119,11 @@ def test_the_worst_comes_first(tmp_path):
     found = evaluate(map_in(tmp_path / "map"), truth_in(tmp_path / "truth"))
     good = found.objects[0]
     bad, missed = replace(good, truth_id=2, f1_5pct=0.4), replace(good, truth_id=3, f1_5pct=0.0, map_id=None)
-    ranked = worst_first(replace(found, objects=(good, bad, missed)))
-    assert [row.truth_id for row in ranked] == [3, 2, 1]
+    assert [row.truth_id for row in worst_first(replace(found, objects=(good, bad, missed)))] == [3, 2, 1]
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
-    status = main(["evaluate", *map(str, arguments)])
-    return status, capsys.readouterr().err
+def run(capsys, *arguments):
+    return main(["evaluate", *map(str, arguments)]), capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -138,7 +135,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
 )
 def test_truth_of_another_log_is_refused(truth, told, tmp_path, capsys):
     map_in(tmp_path / "map")
-    truth_in(tmp_path / "truth", **truth)  # type: ignore[arg-type]
+    truth_in(tmp_path / "truth", **truth)
     status, message = run(capsys, tmp_path / "map", "--truth", tmp_path / "truth")
     assert status == 2
     assert told in message

@@ -1,5 +1,3 @@
-"""The rungs of the ladder, on boxes that touch: what is replaced by the truth is exact, and nothing else is."""
-
 from dataclasses import replace
 import cv2
 import numpy as np
@@ -8,11 +6,11 @@ from hickory_stream.box_scene import PERIOD_NS, SCENE_CAMERA, START_NS, SceneBox
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
-from hickory_stream.events import Event, SourceEnded
+from hickory_stream.events import SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
-from hickory_stream.records import Frame, Phase, Segmentation, TrackedObject
+from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import drive
-from tools.evaluation.oracle_ablation import Rung, TrueImages, TrueSegmenter, core_of, segmenter_of
+from tools.evaluation.oracle_ablation import TrueImages, TrueSegmenter, core_of, segmenter_of
 
 # Two boxes of one colour that touch, and a third one apart; ids in the truth are not those of the images of the twin.
 BOXES = (
@@ -26,12 +24,12 @@ PERSON = 900
 
 
 @pytest.fixture(scope="module")
-def frames() -> list[Frame]:
+def frames():
     return [raw.decode() for raw in SceneSource(NUM_FRAMES, BOXES).frames()]
 
 
 @pytest.fixture(scope="module")
-def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
+def truth(tmp_path_factory):
     folder = tmp_path_factory.mktemp("truth")
     for i, instances in enumerate(SceneSource(NUM_FRAMES, BOXES).instances.values()):
         shown = IDS[instances].astype(np.uint16)
@@ -54,11 +52,11 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
     )
 
 
-def segmented(rung: Rung, truth: Truth, frame: Frame) -> Segmentation:
+def segmented(rung, truth, frame):
     return TrueSegmenter(rung, TrueImages(truth), PerceptionConfig()).segment(frame)
 
 
-def mapped(rung: Rung, truth: Truth, frames: list[Frame]) -> tuple[TrackedObject, ...]:
+def mapped(rung, truth, frames):
     """The objects of a map of layer 1."""
     config, images = MapperConfig(), TrueImages(truth)
     segmenter, core = segmenter_of(rung, images, config), core_of(rung, images, config)
@@ -66,8 +64,7 @@ def mapped(rung: Rung, truth: Truth, frames: list[Frame]) -> tuple[TrackedObject
     for frame in frames:
         seen = perceive(frame, core.prior(), None, segmenter, config.perception, lattice=config.mapping.voxels)
         drive(core, [seen.event(frame)])
-    last: list[Event] = [SourceEnded(stamp_ns=frames[-1].stamp_ns)]
-    drive(core, last)
+    drive(core, [SourceEnded(stamp_ns=frames[-1].stamp_ns)])
     return tuple(item for item in core.snapshot().objects if item.phase is not Phase.TENTATIVE)
 
 
@@ -94,12 +91,12 @@ def test_true_structure_shows_nothing_and_a_passer_by_is_neither(truth, frames):
 
 
 def test_an_image_full_of_things_has_no_mask_without_a_number(truth, frames):
-    segmenter = TrueSegmenter("structure", _Full(), PerceptionConfig())  # type: ignore[arg-type]
+    segmenter = TrueSegmenter("structure", _Full(), PerceptionConfig())
     assert np.unique(segmenter.segment(frames[0]).instances).tolist() == [1, 2]
 
 
 class _Full:
-    def at(self, stamp_ns: int) -> np.ndarray:
+    def at(self, stamp_ns):
         shown = np.full((SCENE_CAMERA.height, SCENE_CAMERA.width), 7, dtype=np.int32)
         shown[:, 100:] = 12
         return shown
@@ -133,7 +130,7 @@ def test_true_association_holds_where_things_pass_each_other(truth, frames):
     assert [(item.sightings, item.merged_ids) for item in found] == [(NUM_FRAMES, ())] * 3
 
 
-def _at(frame: Frame, world_from_camera: np.ndarray) -> Frame:
+def _at(frame, world_from_camera):
     return replace(frame, world_from_camera=world_from_camera)
 
 

@@ -56,22 +56,16 @@ def test_equal_seeds_give_equal_maps_and_others_differ():
     assert not np.allclose(one.map_b.centroids, three.map_b.centroids)
 
 
-def test_the_tilt_between_the_maps_is_the_one_that_was_asked_for():
+def test_simulated_maps_have_the_tilt_asked_for_or_are_unrelated():
     pair = simulate_pair(SimulationConfig(tilt_deg=15.0), 0)
     assert np.isclose(np.degrees(np.arccos(pair.a_from_b[2, 2])), 15.0)
     assert np.isclose(simulate_pair(SimulationConfig(), 0).a_from_b[2, 2], 1.0)
-
-
-def test_unrelated_maps_have_nothing_in_common():
     assert len(simulate_unrelated(SimulationConfig(), 0).common) == 0
 
 
-def test_shapes_are_real_ones_about_their_centroids():
+def test_shapes_are_real_ones_and_clouds_lie_on_them():
     assert len(real_fits()) > 60
     assert all(np.abs(centroid_world(shape)).max() < 1e-3 for shape in real_fits())
-
-
-def test_clouds_lie_on_the_shapes():
     objects = with_points(simulate_pair(SimulationConfig(num_objects=6), 1).map_a)
     for shape, points in zip(objects.shapes, objects.points, strict=True):
         assert shape is not None

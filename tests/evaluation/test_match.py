@@ -1,6 +1,5 @@
 from dataclasses import replace
 from itertools import permutations
-from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,19 +9,19 @@ from hickory_stream.evaluation.match import box_ious, match_boxes, score_map
 from hickory_stream.evaluation.truth import Truth, TruthObject
 from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.mesh import Mesh, write_glb
+from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.records import MapSnapshot, ObjectKind, Phase, TrackedObject
+from hickory_stream.records import MapSnapshot, ObjectKind, Phase
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
 
 SIDES = (0.5, 0.4, 0.6)
 
 
-def unit_box(x: float) -> OrientedBox:
+def unit_box(x):
     return OrientedBox(world_from_box=placed(x, 0.0, 0.0), half_extents_m=[0.5, 0.5, 0.5])
 
 
-def true_object(folder: Path, object_id: int, x: float, seen: float = 0.9) -> TruthObject:
+def true_object(folder, object_id, x, seen=0.9):
     (folder / "meshes").mkdir(exist_ok=True)
     write_glb(box_mesh(SIDES, (90, 90, 90)), folder / f"meshes/{object_id}.glb")
     return TruthObject(
@@ -31,19 +30,19 @@ def true_object(folder: Path, object_id: int, x: float, seen: float = 0.9) -> Tr
     )  # fmt: skip
 
 
-def truth_of(folder: Path, *objects: TruthObject) -> Truth:
+def truth_of(folder, *objects):
     camera = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0)
     return Truth(folder=folder, camera=camera, objects=objects, structure=(), frames=())
 
 
-def found(object_id: int, x: float, keep: slice = slice(None)) -> TrackedObject:
+def found(object_id, x, keep=slice(None)):
     """Return an object whose layer 1 lies on a true object at `x`, or on the part of it that `keep` chooses along x."""
     tracked = make_object(object_id, box_mesh(SIDES, (90, 90, 90)), placed(x, 0.0, 0.3))
     order = np.argsort(tracked.points_world[:, 0])[keep]
     return replace(tracked, points_world=tracked.points_world[order], colors=tracked.colors[order])
 
 
-def snapshot_of(*objects: TrackedObject) -> MapSnapshot:
+def snapshot_of(*objects):
     return MapSnapshot(revision=1, stamp_ns=0, submaps=(), objects=objects)
 
 
@@ -65,7 +64,7 @@ def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(truth, objects, 
     assert len({match.map_index for match in matches}) == len({match.truth_index for match in matches}) == len(matches)
     assert all(match.iou >= min_iou for match in matches)
 
-    def value(i: int, j: int) -> float:
+    def value(i, j):
         iou = box_iou(truth_boxes[i], map_boxes[j]) if j < len(map_boxes) else 0.0
         return iou if iou >= min_iou else 0.0
 
@@ -88,15 +87,12 @@ def test_no_overlap_is_missed_by_comparing_bounds_first(seed, turned):
     assert np.array_equal(box_ious(ours, theirs), [[box_iou(a, b) for b in theirs] for a in ours])
 
 
-def test_a_perfect_map_scores_one_everywhere(tmp_path):
+def test_a_perfect_map_scores_one_and_an_empty_one_zero(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0))
     score = score_map(snapshot_of(found(7, 0.0), found(8, 1.0)), {}, truth)
     assert (score.recall_25, score.recall_50, score.precision_25, score.precision_50) == (1.0, 1.0, 1.0, 1.0)
     assert score.tracks_per_object == 1.0
     assert [(row.truth_id, row.map_id, row.track_ids) for row in score.truth] == [(1, 7, (7,)), (2, 8, (8,))]
-
-
-def test_an_empty_map_scores_zero(tmp_path):
     score = score_map(snapshot_of(), {}, truth_of(tmp_path, true_object(tmp_path, 1, 0.0)))
     assert (score.recall_25, score.precision_25, score.tracks_per_object, score.num_truth) == (0.0, 0.0, 0.0, 1)
 
@@ -157,7 +153,7 @@ def test_what_is_out_of_reach_lowers_no_reachable_recall(tmp_path):
 
 def test_the_box_is_that_of_the_mesh_where_there_is_one(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0))
-    mesh: Mesh = box_mesh(SIDES, (90, 90, 90))
+    mesh = box_mesh(SIDES, (90, 90, 90))
     half = found(3, 0.0, slice(400))
     assert score_map(snapshot_of(half), {}, truth).recall_50 == 1.0  # its box is still the whole one
     shape = make_shape(mesh, placed(0.0, 0.0, 0.9), (0.25, 0.2, 0.3), revision=1)

@@ -19,7 +19,7 @@ from tools.evaluation.navigation_table import (
 )
 
 
-def shifted(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
+def shifted(mesh, by):
     return Mesh(vertices=mesh.vertices + np.float32(by), faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
 
 

@@ -22,12 +22,12 @@ from tests.engine.snapshot_fixtures import box_mesh
 GREY = (90, 90, 90)
 
 
-def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
+def moved(mesh, by):
     vertices = (mesh.vertices + np.array(by)).astype(np.float32)
     return Mesh(vertices=vertices, faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
 
 
-def joined(a: Mesh, b: Mesh) -> Mesh:
+def joined(a, b):
     return Mesh(
         vertices=np.concatenate([a.vertices, b.vertices]),
         faces=np.concatenate([a.faces, b.faces + len(a.vertices)]),
@@ -36,7 +36,7 @@ def joined(a: Mesh, b: Mesh) -> Mesh:
     )
 
 
-def true_surface(mesh: Mesh) -> TrueSurface:
+def true_surface(mesh):
     samples, _ = exposed_samples(mesh, 3000, np.random.default_rng(0))
     return TrueSurface(mesh=mesh, samples=samples.astype(np.float64))
 
@@ -83,15 +83,12 @@ def test_what_of_one_part_lies_inside_another_is_no_surface():
     assert np.einsum("ij,ij->i", samples, normals).min() > 0
 
 
-def test_a_moved_track_has_no_error_once_aligned():
+def test_an_offset_is_an_error_until_tracks_are_aligned():
     true = np.random.default_rng(3).uniform(-2, 2, (40, 3))
     error = pose_error(true @ yaw_rotation(0.3).T + np.array([0.5, -0.2, 0.0]), true)
     assert error.ate_m > 0.4
     assert error.ate_aligned_m == pytest.approx(0.0, abs=1e-9)
     assert error.num_poses == 40
-
-
-def test_a_constant_offset_is_its_length():
     true = np.random.default_rng(4).uniform(-2, 2, (10, 3))
     assert pose_error(true + np.array([0.3, 0.0, 0.4]), true).ate_m == pytest.approx(0.5)
 
@@ -123,11 +120,8 @@ def test_a_shell_is_solid_where_floor_or_walls_close_it():
     assert invented_m3(box, shell)[0] == pytest.approx(0.7 * 0.5 * 0.45, rel=0.06)
 
 
-def test_a_plate_thinner_than_a_cell_has_half_a_cell():
+def test_thin_plates_and_generated_surface_are_measured():
     plate = Filled(box_mesh((0.48, 0.48, 0.001), GREY))
     assert plate.volumes_m3.sum() == pytest.approx(0.48 * 0.48 * 0.0055, rel=0.15)
-
-
-def test_generated_surface_is_by_area():
     # The bottom is not seen, and half a side has triangles with one or two vertices of it, three of eight all in all.
     assert generated_m2(box_mesh((0.4, 0.4, 0.4), GREY)) == pytest.approx(0.16 + 4 * 0.16 / 2 * 0.5)

@@ -1,13 +1,12 @@
 import warnings
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.trajectory_error import matched, trajectory_error
 from hickory_stream.geometry.rigid import from_rotation_translation, quaternion_from_rotation, rotation_of_vector
 
 
-def walk(count: int, noise: float, seed: int) -> NDArray[np.float64]:
+def walk(count, noise, seed):
     rng = np.random.default_rng(seed)
     poses = []
     for i in range(count):
@@ -23,7 +22,7 @@ def test_errors_are_those_of_evo():
         from evo.core import metrics, sync
         from evo.core.trajectory import PoseTrajectory3D
 
-    def as_evo_has_it(stamps_ns: list[int], poses: NDArray[np.float64]) -> PoseTrajectory3D:
+    def as_evo_has_it(stamps_ns, poses):
         xyzw = np.array([quaternion_from_rotation(pose[:3, :3]) for pose in poses])
         return PoseTrajectory3D(poses[:, :3, 3], np.roll(xyzw, 1, axis=1), np.array(stamps_ns) / 1e9)
 

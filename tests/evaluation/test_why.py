@@ -7,12 +7,12 @@ from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Evidence, exten
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.truth import Truth, TruthObject
 from hickory_stream.evaluation.truth_sightings import Other, Part, Sighting, TruthSightings
-from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.inspection.track_history import stretches_of
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.records import Decision, MapSnapshot, TrackedObject
+from hickory_stream.records import Decision, MapSnapshot
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 
 SIDE = 0.4
@@ -21,7 +21,7 @@ CONFIRM_S = 1.75
 
 
 @pytest.fixture(scope="module")
-def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
+def truth(tmp_path_factory):
     """A cube at the origin, another one 2 m beside it, and a floor 1 m below them."""
     folder = tmp_path_factory.mktemp("truth")
     write_glb(box_mesh((SIDE, SIDE, SIDE), (90, 120, 90)), folder / "cube.glb")
@@ -37,32 +37,23 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
     return Truth(folder=folder, camera=camera, objects=objects, structure=("floor.glb",), frames=())
 
 
-def cube(
-    object_id: int, x: float, size: tuple[float, float, float] = (SIDE, SIDE, SIDE), z: float = 0.0
-) -> TrackedObject:
+def cube(object_id, x, size=(SIDE, SIDE, SIDE), z=0.0):
     return make_object(object_id, box_mesh(size, (90, 120, 90)), placed(x, 0.0, z))
 
 
-def mask(share: float, purity: float, track_id: int = 7, other: int | None = OTHER) -> Part:
+def mask(share, purity, track_id=7, other=OTHER):
     others = () if purity == 1.0 else (Other(truth_id=other, share=1.0 - purity),)
     return Part(where="mask", share=share, observation_index=0, track_id=track_id, purity=purity, others=others)
 
 
-def sighting(frame: int, *parts: Part, num_px: int = 500) -> Sighting:
+def sighting(frame, *parts, num_px=500):
     return Sighting(frame=frame, keyframe=frame, stamp_ns=frame, num_px=num_px, distance_m=2.5, parts=parts)
 
 
-def evidence(
-    truth: Truth,
-    sightings: list[Sighting],
-    *,
-    objects: tuple[TrackedObject, ...] = (),
-    decisions: tuple[Decision, ...] = (),
-    num_depth: int = 3,
-) -> Evidence:
+def evidence(truth, sightings, *, objects=(), decisions=(), num_depth=3):
     """What a run saw of the crate; each of its masks went to the track that it names, then came the decisions."""
     book = TrackHistories()
-    seen: set[int] = set()
+    seen = set()
     for item in sightings:
         for part in item.parts:
             if part.track_id is not None:
@@ -88,12 +79,12 @@ def evidence(
     )
 
 
-def five(*parts: Part) -> list[Sighting]:
+def five(*parts):
     return [sighting(frame, *parts) for frame in range(5)]
 
 
-def drop(cause: str, text: str) -> Decision:
-    return Decision(kind="drop", object_id=7, text=text, cause=cause)  # type: ignore[arg-type]
+def drop(cause, text):
+    return Decision(kind="drop", object_id=7, text=text, cause=cause)
 
 
 CASES = {
@@ -214,7 +205,7 @@ def test_a_keyframe_labels_a_thing_by_most_of_its_pixels(parts, state):
     ],
 )
 def test_extents_are_named_by_the_true_box(size, shift, told):
-    def box(sides: tuple[float, ...], center: tuple[float, ...]) -> OrientedBox:
+    def box(sides, center):
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(sides) / 2
         turned = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
         return gravity_aligned_box(((corners + center) @ turned.T).astype(np.float32), 0.001)
@@ -222,7 +213,7 @@ def test_extents_are_named_by_the_true_box(size, shift, told):
     assert extents_text(box((0.4, 0.2, 0.3), (0, 0, 0)), box(size, shift)) == told
 
 
-def slab(object_id: int) -> TrackedObject:
+def slab(object_id):
     return cube(object_id, 0.0, (1.0, 1.0, 0.02), z=-1.0)
 
 
@@ -262,8 +253,7 @@ def test_consecutive_equal_frames_are_one_stretch():
 
 
 def test_a_thing_counts_as_held_only_where_points_are_its_own(truth, tmp_path):
-    flush = cube(3, 2.0)
-    overlap = Overlap(MapSnapshot(revision=1, stamp_ns=0, submaps=(), objects=(flush,)), truth)
+    overlap = Overlap(MapSnapshot(revision=1, stamp_ns=0, submaps=(), objects=(cube(3, 2.0),)), truth)
     assert overlap.covered(OTHER)[3] > 0.9
     assert overlap.covered(THING) == {}
     assert overlap.lies_on[3].largest() == (OTHER, 1.0)

@@ -31,8 +31,7 @@ class NpzSource:
 
     def frames(self):
         """Yield the frames from the beginning."""
-        stamped = zip(self._stamps_ns.tolist(), self._poses, strict=True)
-        for i, (stamp_ns, pose) in enumerate(stamped):
+        for i, (stamp_ns, pose) in enumerate(zip(self._stamps_ns.tolist(), self._poses, strict=True)):
             self._num_yielded = i + 1
             known = {"index": i, "stamp_ns": stamp_ns, "world_from_camera": pose, "camera": self.info.camera}
             yield RawFrame(**known, decode=partial(Frame, **known, rgb=self._rgb[i], depth_m=self._depth_m[i]))

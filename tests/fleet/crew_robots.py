@@ -3,17 +3,16 @@
 import os
 import signal
 import time
-from multiprocessing.connection import Connection
 from hickory_stream.fleet.messages import Ended, Opened
-from hickory_stream.fleet.robot_process import RobotTask, listen
+from hickory_stream.fleet.robot_process import listen
 
 
-def main(task: RobotTask, connection: Connection) -> None:
+def main(task, connection):
     """Send what is played; then end well, be killed, leave without a word, or go on until it is stopped."""
     name = task.robot.name
     is_stopped = False
 
-    def stop(number: int, frame: object) -> None:
+    def stop(number, frame):
         nonlocal is_stopped
         is_stopped = True
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import os
 import signal
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 import pytest
 from hickory_stream.config import MapperConfig
 from hickory_stream.fleet.crew import run_crew
@@ -15,16 +15,16 @@ from players import SourceOptions
 from tests.fleet import crew_robots
 
 if TYPE_CHECKING:
-    from hickory_stream.fleet.messages import Message
+    pass
 
 
-def task(name: str) -> Any:
+def task(name):
     """Return what the processes of `crew_robots` know of a task; the configuration of one takes a second to load."""
     return SimpleNamespace(robot=SimpleNamespace(name=name))
 
 
 def test_a_robot_whose_process_dies_is_missing_with_the_reason():
-    heard: dict[str, list[Message]] = {}
+    heard = {}
     names = ["killed", "good", "silent", "also-good"]
     ended = run_crew(
         [task(name) for name in names],
@@ -51,7 +51,7 @@ def test_with_one_process_the_robots_are_mapped_in_their_order():
 def test_a_signal_stops_all_robots_in_order_and_begins_no_more():
     opened = []
 
-    def hear(name: str, message: Message) -> None:
+    def hear(name, message):
         if isinstance(message, Opened):
             opened.append(name)
             if len(opened) == 2:
@@ -65,7 +65,7 @@ def test_a_signal_stops_all_robots_in_order_and_begins_no_more():
 
 
 def test_a_signal_reaches_a_robot_that_does_not_listen_yet():
-    def hear(name: str, message: Message) -> None:
+    def hear(name, message):
         if name == "endless" and isinstance(message, Opened):
             os.kill(os.getpid(), signal.SIGINT)
 
@@ -75,7 +75,7 @@ def test_a_signal_reaches_a_robot_that_does_not_listen_yet():
 
 
 def test_a_second_signal_ends_them_at_once():
-    def hear(name: str, message: Message) -> None:
+    def hear(name, message):
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -84,7 +84,7 @@ def test_a_second_signal_ends_them_at_once():
 
 
 def test_a_failure_of_whoever_listens_leaves_no_process_behind():
-    def hear(name: str, message: Message) -> None:
+    def hear(name, message):
         raise ValueError("no")
 
     before = signal.getsignal(signal.SIGINT)

@@ -1,10 +1,9 @@
 import json
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.cli import main
 from hickory_stream.cli.runs.fleet import result_text
-from hickory_stream.fleet.finish import Finished, finish
+from hickory_stream.fleet.finish import finish
 from hickory_stream.fleet.messages import Ended
 from hickory_stream.fleet.result import result_of
 from hickory_stream.fleet.run import end_texts
@@ -20,7 +19,7 @@ ITEMS = {"alone": furniture(6, 90), "a": HERE[:10], "x": THERE, "b": HERE[2:], "
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Maps of three robots in one place, two in another, one alone, and one map that was altered."""
     base = tmp_path_factory.mktemp("fleet")
     for i, (name, pose) in enumerate(FRAMES.items()):
@@ -33,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def finished(folder: Path) -> Finished:
+def finished(folder):
     return finish({name: folder / f"{name}.map" for name in [*FRAMES, "altered"]}, folder, overwrite=False)
 
 

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 from hickory_stream.fleet.growth import GrownMap, Round
-from hickory_stream.fleet.joins import JoinEvent, Joins, Joint, joined_since
+from hickory_stream.fleet.joins import JoinEvent, Joins, joined_since
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
 ITEMS = furniture(16, 7)
@@ -11,14 +10,14 @@ FRAMES = {"a": np.eye(4), "b": frame(70, 2, -1), "c": frame(-130, 0.5, 3), "far"
 OTHER_PLACE = furniture(12, 60)
 
 
-def seen(name: str, first: int, last: int) -> MapSnapshot:
+def seen(name, first, last):
     items = OTHER_PLACE if name == "far" else ITEMS
     return snapshot_of(items[first:last], FRAMES[name], ord(name[0]))
 
 
-def rounds(joins: Joins, *steps: dict[str, tuple[int, int]]) -> list[Joint]:
+def rounds(joins, *steps):
     """Return what holds after each step, in which robots have seen a range of the objects."""
-    maps: dict[str, GrownMap] = {}
+    maps = {}
     found = []
     for i, step in enumerate(steps, start=1):
         for name, span in step.items():
@@ -29,12 +28,12 @@ def rounds(joins: Joins, *steps: dict[str, tuple[int, int]]) -> list[Joint]:
     return found
 
 
-def names(joint: Joint) -> list[tuple[str, ...]]:
+def names(joint):
     return [frame.names for frame in joint.frames]
 
 
 @pytest.fixture(scope="module")
-def grown() -> list[Joint]:
+def grown():
     """Three robots of which a and b see the same from the first round on, c from the second, and one elsewhere."""
     everybody = {"a": (0, 12), "b": (3, 15), "c": (12, 14), "far": (0, 12)}
     return rounds(Joins(), everybody, everybody | {"c": (2, 14)}, everybody | {"c": (2, 16)})
@@ -72,16 +71,8 @@ def test_a_join_is_withdrawn_when_a_later_answer_is_another_one(monkeypatch):
 
 
 def test_a_join_counts_from_when_it_holds_for_good():
-    def event(keyframe: int, kind: str) -> JoinEvent:
-        return JoinEvent(
-            keyframe=keyframe,
-            kind=kind,  # type: ignore[arg-type]
-            a="a",
-            b="b",
-            a_from_b=np.eye(4),
-            num_pairs=5,
-            sigma_m=0.01,
-        )
+    def event(keyframe, kind):
+        return JoinEvent(keyframe=keyframe, kind=kind, a="a", b="b", a_from_b=np.eye(4), num_pairs=5, sigma_m=0.01)
 
     first, gone, again = event(3, "joined"), event(6, "withdrawn"), event(9, "joined")
     assert joined_since((first,), "b", "a") == 3

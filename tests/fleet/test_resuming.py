@@ -1,16 +1,12 @@
 import asyncio
 from dataclasses import dataclass, field
-from pathlib import Path
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Progress
-from hickory_stream.fleet.growth import GrownMap, GrowthSink
+from hickory_stream.fleet.growth import GrowthSink
 from hickory_stream.fleet.resuming import has_ended, send_recorded
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import show_until_resumed
-from hickory_stream.map_folder.writer import MapFolder
-from hickory_stream.ports import Sink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
@@ -23,19 +19,19 @@ EVERY = 2
 class Sent:
     maps: list[tuple[int, str, bytes]] = field(default_factory=list)
 
-    def __call__(self, grown: GrownMap) -> None:
+    def __call__(self, grown):
         self.maps.append((grown.keyframes, map_digest(grown.snapshot), grown.world_from_camera.tobytes()))
 
-    def sink(self) -> GrowthSink:
+    def sink(self):
         return GrowthSink(EVERY, "", self)
 
 
-def saved_and(growth: Sink, folder: MapFolder) -> list[tuple[Sink, bool]]:
+def saved_and(growth, folder):
     return [(DiskSink(folder, DiskSinkConfig()), True), (growth, True)]
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Sent]:
+def whole(tmp_path_factory):
     """A run that was never stopped, and what it sent."""
     sent, path = Sent(), tmp_path_factory.mktemp("whole")
     map_scene(path, *NO_SHAPES, sinks=lambda folder: saved_and(sent.sink(), folder))
@@ -54,7 +50,7 @@ def test_a_robot_that_has_ended_sends_again_what_it_sent(whole):
 
 
 def test_a_resumed_robot_sends_what_it_had_not_sent(whole, tmp_path):
-    def stop(mapper: Mapper, progress: Progress) -> None:
+    def stop(mapper, progress):
         if progress.keyframes == 3:
             mapper.stop()
 
@@ -66,7 +62,7 @@ def test_a_resumed_robot_sends_what_it_had_not_sent(whole, tmp_path):
     assert 0 < len(again.maps) < len(whole[1].maps)
     assert again.maps == whole[1].maps[: len(again.maps)]
 
-    async def go_on() -> None:
+    async def go_on():
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
         async with Mapper.resuming(
             tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()

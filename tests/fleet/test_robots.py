@@ -1,4 +1,3 @@
-from pathlib import Path
 import pytest
 from hickory_stream.errors import ConfigError
 from hickory_stream.fleet.robots import read_fleet, robots_of
@@ -6,7 +5,7 @@ from hickory_stream.fleet.robots import read_fleet, robots_of
 TWO = '[[robot]]\nname = "a"\nlog = "a.mcap"\n[[robot]]\nname = "b"\nlog = "b.mcap"\n'
 
 
-def file(folder: Path, text: str) -> Path:
+def file(folder, text):
     path = folder / "fleet.toml"
     path.write_text(text)
     return path

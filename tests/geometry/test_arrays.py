@@ -3,27 +3,21 @@ import pytest
 from hickory_stream.geometry.arrays import frozen_array
 
 
-def test_the_array_is_read_only_contiguous_and_converted():
+def test_a_frozen_array_is_read_only_contiguous_and_a_copy():
     array = frozen_array([[1, 2], [3, 4]], np.float32, (2, 2), "x")
     assert array.dtype == np.float32
     assert array.flags.c_contiguous
     with pytest.raises(ValueError, match="read-only"):
         array[0, 0] = 9
-
-
-def test_changing_the_original_does_not_change_the_frozen_array():
     original = np.zeros(3)
     frozen = frozen_array(original, np.float64, (3,), "x")
     original[:] = 7
     assert frozen.tolist() == [0, 0, 0]
 
 
-def test_a_frozen_array_is_not_copied_again():
+def test_a_frozen_array_is_copied_only_to_become_contiguous():
     frozen = frozen_array(np.arange(4), np.int64, (4,), "x")
     assert frozen_array(frozen, np.int64, (None,), "x") is frozen
-
-
-def test_a_frozen_array_in_fortran_order_becomes_contiguous():
     turned = frozen_array(np.arange(6).reshape(2, 3), np.int64, (2, 3), "x").T
     again = frozen_array(turned, np.int64, (3, 2), "x")
     assert again.flags.c_contiguous

@@ -98,8 +98,7 @@ def test_the_iou_is_symmetric_and_a_share(a, b):
 
 @given(oriented_boxes(), oriented_boxes(), rigid_transforms())
 def test_the_iou_does_not_change_when_both_boxes_move_together(a, b, b_from_world):
-    together = box_iou(moved(a, b_from_world), moved(b, b_from_world))
-    assert together == pytest.approx(box_iou(a, b), abs=1e-7)
+    assert box_iou(moved(a, b_from_world), moved(b, b_from_world)) == pytest.approx(box_iou(a, b), abs=1e-7)
 
 
 @given(oriented_boxes(), oriented_boxes())
@@ -134,8 +133,7 @@ def test_a_grown_box_reaches_further_by_the_margin_on_every_side(a, margin):
 def test_the_corners_have_the_boxs_volume_and_diagonal(a):
     corners = a.corners_world()
     assert ConvexHull(corners).volume == pytest.approx(a.volume_m3, rel=1e-6)
-    distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
-    assert distances.max() == pytest.approx(a.diagonal_m, rel=1e-9)
+    assert np.linalg.norm(corners[:, None] - corners[None], axis=-1).max() == pytest.approx(a.diagonal_m, rel=1e-9)
 
 
 @given(point_sets())
@@ -196,8 +194,7 @@ def two_sides(yaw_rad, width_m=1.2, depth_m=0.5):
 def test_a_faced_box_lies_along_the_sides_that_were_seen(yaw_deg):
     noise = np.random.default_rng(2).normal(size=(360, 3)) * 0.004
     box = faced_box(two_sides(np.deg2rad(yaw_deg)) + noise, 0.01)
-    heading = np.rad2deg(np.arctan2(box.world_from_box[1, 0], box.world_from_box[0, 0]))
-    off = (heading - yaw_deg + 45) % 90 - 45
+    off = (np.rad2deg(np.arctan2(box.world_from_box[1, 0], box.world_from_box[0, 0])) - yaw_deg + 45) % 90 - 45
     assert abs(off) <= 3
     assert np.sort(2 * box.half_extents_m) == pytest.approx([0.35, 0.8, 1.2], abs=0.06)
 

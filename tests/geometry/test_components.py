@@ -5,8 +5,7 @@ from hickory_stream.geometry.display import main_components
 
 
 def test_the_main_component_has_the_largest_variance():
-    rng = np.random.default_rng(0)
-    features = rng.normal(0, 0.01, (20, 30, 8)).astype(np.float32)
+    features = np.random.default_rng(0).normal(0, 0.01, (20, 30, 8)).astype(np.float32)
     features[..., 5] += np.linspace(-1, 1, 30)
     components = main_components(features)
     assert abs(components.axes[5, 0]) > 0.99

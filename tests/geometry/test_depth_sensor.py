@@ -12,10 +12,11 @@ def depths(*values):
     return np.array([values], dtype=np.float32)
 
 
-def test_noise_grows_with_the_square_of_depth_from_a_floor_on():
+def test_noise_grows_with_the_square_of_depth_where_it_is_known():
     sensor = DepthSensor(noise_per_m=0.0025, floor_m=0.001)
     np.testing.assert_allclose(sensor.sigma_m(depths(0.2, 1.0, 2.0, 4.0)), [[0.001, 0.0025, 0.01, 0.04]], rtol=1e-6)
     np.testing.assert_allclose(KINECT.sigma_m(depths(1.0, 2.0)), [[0.0031, 0.0088]], rtol=1e-6)
+    assert np.isnan(DepthSensor().sigma_m(depths(np.nan))).all()
 
 
 def test_a_step_of_disparity_adds_its_uniform_noise():
@@ -25,10 +26,6 @@ def test_a_step_of_disparity_adds_its_uniform_noise():
     steps = np.round(1 / z / sensor.step_per_m) * sensor.step_per_m
     errors = (1 / steps - z) / z**2
     assert errors.std() == pytest.approx(sensor.spread_per_m, rel=0.02)
-
-
-def test_where_there_is_no_depth_there_is_no_noise():
-    assert np.isnan(DepthSensor().sigma_m(depths(np.nan))).all()
 
 
 @given(st.floats(0.1, 20.0), st.floats(0, 0.1), st.floats(0, 0.1), st.floats(0, 0.01), st.floats(0, 0.01))
@@ -45,11 +42,8 @@ def test_out_of_range_is_no_return_and_a_bias_is_taken_off():
     assert np.isnan(DepthSensor(bias_m=0.5).returns(depths(0.3))).all()
 
 
-def test_the_angle_of_an_edge_scales_with_the_image():
+def test_edges_scale_with_images_and_settings_override_the_log():
     assert [DepthSensor(edge_rad=0.0045).edge_px(focal_px) for focal_px in (95, 349, 525, 1047)] == [0, 2, 2, 5]
-
-
-def test_what_is_configured_goes_before_the_sensor_of_the_log():
     assert SensorConfig().over(KINECT) is KINECT
     assert SensorConfig(noise_m=0.0).over(KINECT) == DepthSensor(noise_per_m=0.0019, noise_m=0.0)
 

@@ -23,8 +23,7 @@ def test_a_front_thinner_than_its_noise_is_at_its_mean_height(thick_m):
 
 
 def test_relief_that_exceeds_the_noise_stays():
-    steps = np.repeat([0.02, 0.03], 1500)
-    points, weights = seen(steps, 0.002)
+    points, weights = seen(np.repeat([0.02, 0.03], 1500), 0.002)
     heights_m = flush_heights(points, weights, 1 / weights, WALL, 0.5)
     assert heights_m[:1500].mean() == pytest.approx(0.02, abs=0.001)
     assert heights_m[1500:].mean() == pytest.approx(0.03, abs=0.001)
@@ -34,8 +33,7 @@ def test_near_views_decide_where_far_ones_err_more():
     near, near_weights = seen(np.full(500, 0.02), 0.003)
     far, far_weights = seen(np.full(3000, 0.02), 0.06)
     points, weights = np.concatenate([near, far]), np.concatenate([near_weights, far_weights])
-    heights_m = flush_heights(points, weights, 1 / weights, WALL, 0.5)
-    assert heights_m.max() < 0.03
+    assert flush_heights(points, weights, 1 / weights, WALL, 0.5).max() < 0.03
 
 
 @pytest.mark.parametrize(
@@ -59,8 +57,7 @@ def test_the_plane_beside_is_that_of_most_returns():
 
 
 def test_without_a_surface_of_most_returns_there_is_no_plane():
-    rng = np.random.default_rng(4)
-    depth = rng.uniform(1, 4, (30, 30)).astype(np.float32)
+    depth = np.random.default_rng(4).uniform(1, 4, (30, 30)).astype(np.float32)
     u = np.linspace(-0.4, 0.4, 30).astype(np.float32)
     assert not plane_beside(depth, np.ones(depth.shape, bool), u, u, LAW).any()
     assert not plane_beside(depth[:4, :4], np.ones((4, 4), bool), u[:4], u[:4], LAW).any()

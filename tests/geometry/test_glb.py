@@ -1,5 +1,3 @@
-"""GLB files of others: one mesh of ours, or a ValueError; nothing is opened, no memory taken for a claim."""
-
 import json
 import struct
 import numpy as np
@@ -76,13 +74,10 @@ def test_a_document_with_more_than_one_mesh_is_refused(name):
         mesh_of_glb(with_document(CHANGES[name]))
 
 
-def test_triangles_of_vertices_that_there_are_not_are_refused():
+def test_unknown_vertices_and_infinite_ones_are_refused():
     at = GLB.index(b"BIN\0") + 4
     with pytest.raises(ValueError, match="other vertices than the 8"):
         glb_arrays(GLB[:at] + struct.pack("<I", 8) + GLB[at + 4 :])
-
-
-def test_a_vertex_that_is_not_finite_is_refused():
     at = GLB.index(MESH.vertices[:1].tobytes())
     with pytest.raises(ValueError, match="finite"):
         mesh_of_glb(GLB[:at] + struct.pack("<f", float("nan")) + GLB[at + 4 :])

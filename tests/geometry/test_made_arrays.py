@@ -1,5 +1,3 @@
-"""Records that give their arrays up: the same bytes when they are read, and nothing to write to."""
-
 import pickle
 from dataclasses import replace
 import numpy as np

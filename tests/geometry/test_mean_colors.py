@@ -22,8 +22,7 @@ def running_means(rng, count, most_hits):
 @given(seeds, st.integers(0, 80), st.integers(1, 40))
 def test_means_come_back_to_the_bit(seed, count, most_hits):
     means = running_means(np.random.default_rng(seed), count, most_hits)
-    data = packed_means(means)
-    read = unpacked_means(data, count)
+    read = unpacked_means(packed_means(means), count)
     assert read.dtype == np.float32
     assert read.tobytes() == means.tobytes()
 
@@ -31,8 +30,7 @@ def test_means_come_back_to_the_bit(seed, count, most_hits):
 @given(hnp.arrays(np.float32, st.tuples(st.integers(0, 30), st.just(3))), seeds)
 def test_what_is_no_mean_is_kept_among_means_or_refused(other, seed):
     means = running_means(np.random.default_rng(seed), 2 * len(other), 9)
-    mixed = np.concatenate([means[: len(other)], other, means[len(other) :]])
-    for array in (mixed, other):
+    for array in (np.concatenate([means[: len(other)], other, means[len(other) :]]), other):
         data = packed_means(array)
         if data is not None:
             assert unpacked_means(data, len(array)).tobytes() == array.tobytes()

@@ -90,8 +90,7 @@ def test_a_leaning_rod_is_no_upright_box():
     tilt = from_rotation_translation(rotation_from_quaternion(0.3, 0.1, 0.0, 0.95), np.array([1.0, 1.0, 0.5]))
     rod.apply_transform(tilt)
     points = seen(rod, noise_m=0.001)
-    found = sketch_of(points)
-    assert volumes_m3(found)[0] < 0.1 * gravity_aligned_box(points, 0.01).volume_m3
+    assert volumes_m3(sketch_of(points))[0] < 0.1 * gravity_aligned_box(points, 0.01).volume_m3
 
 
 def test_a_sketch_moves_with_its_cloud_and_is_repeatable():
@@ -108,15 +107,13 @@ def test_a_sketch_moves_with_its_cloud_and_is_repeatable():
 @pytest.mark.parametrize("extent", [(1.0, 0.0, 0.0), (1.0, 0.6, 0.0), (0.0, 0.0, 0.8), (0.0, 0.0, 0.0)])
 def test_collinear_and_coplanar_clouds_have_a_thin_sketch(extent):
     points = np.random.default_rng(3).uniform(0, 1, (400, 3)) * extent
-    found = sketch_of(points)
-    bounds = world_bounds(found)[0]
+    bounds = world_bounds(sketch_of(points))[0]
     assert np.ptp(bounds, axis=0) == pytest.approx(np.maximum(extent, 0.02), abs=0.03)
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.ones((19, 3)), np.full((100, 3), np.nan)])
 def test_too_few_points_have_none(points):
-    box = gravity_aligned_box(np.array([[0.0, 0, 0], [2.0, 2, 2]]), 0.01)
-    assert sketch(points, box) is None
+    assert sketch(points, gravity_aligned_box(np.array([[0.0, 0, 0], [2.0, 2, 2]]), 0.01)) is None
 
 
 @settings(max_examples=40, deadline=None)

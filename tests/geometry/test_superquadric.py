@@ -94,12 +94,9 @@ def test_volume_agrees_with_the_closed_mesh(exponents):
     assert signed_volume(vertices, faces) == pytest.approx(volumes_m3(primitive)[0], rel=0.01)
 
 
-def test_volumes_of_ellipsoid_and_octahedron_are_exact():
+def test_volumes_and_values_of_known_solids_are_exact():
     assert volumes_m3(one((1.0, 1.0), (1.0, 2.0, 3.0)))[0] == pytest.approx(4 / 3 * np.pi * 6)
     assert volumes_m3(one((2.0, 2.0), (1.0, 1.0, 1.0)))[0] == pytest.approx(4 / 3)
-
-
-def test_implicit_value_of_a_sphere_is_the_squared_radius():
     points = np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0, 2.0], [3.0, 4.0, 0]])
     assert implicit_value(one((1.0, 1.0), (1.0, 1.0, 1.0)), 0, points) == pytest.approx([0, 0.25, 4, 25])
 

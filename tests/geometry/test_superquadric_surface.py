@@ -102,8 +102,7 @@ def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
 def test_the_share_of_points_beyond_a_plane_is_that_of_the_area(primitive, direction):
     points = surface_points(primitive, 0, 1000)
     vertices, faces = display_mesh(primitive, 0, 0.0005 * float(primitive.semi_axes_m.max()))
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    everywhere, _ = trimesh.sample.sample_surface(mesh, 20_000, seed=0)
+    everywhere, _ = trimesh.sample.sample_surface(trimesh.Trimesh(vertices, faces, process=False), 20_000, seed=0)
     along = np.array(direction) / primitive.semi_axes_m[0]
     limit = 0.3 * float((everywhere @ along).max())
     share = float((everywhere @ along > limit).mean())

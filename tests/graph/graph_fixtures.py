@@ -6,21 +6,20 @@ from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.record import record_of
 from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import solve
-from hickory_stream.records import PoseGraphRecord
-from tools.benchmarks.poses.pose_graphs import SimulatedGraph, simulated_graph
+from tools.benchmarks.poses.pose_graphs import simulated_graph
 
 START_NS = 1_700_000_000_000_000_000
 
 
 @cache
-def walk() -> SimulatedGraph:
+def walk():
     return simulated_graph(
         np.random.default_rng(8), GraphConfig(), num_nodes=60, num_loops=9, num_wrong=3, start_ns=START_NS
     )
 
 
 @cache
-def solved_graph() -> PoseGraphRecord:
+def solved_graph():
     graph = walk().graph
     answer = solve(graph, accepted_before=[min(walk().wrong)])
     assert isinstance(answer, Solution)

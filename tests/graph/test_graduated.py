@@ -1,5 +1,3 @@
-"""Weights of graduated non-convexity: from all that count a little to those of the limit."""
-
 import numpy as np
 from hickory_stream.graph.gtsam_solver import sharper, smoothest, weights_of
 
@@ -7,14 +5,11 @@ LIMIT = 16.0
 CHI2 = np.array([0.0, 1.0, 15.0, 17.0, 400.0, 1e5])
 
 
-def test_in_round_one_all_counts_and_distance_reduces_the_weight():
+def test_weights_go_from_all_a_little_to_those_of_the_limit():
     weights = weights_of(CHI2, LIMIT, smoothest(CHI2, LIMIT))
     assert (weights > 0).all()
     assert (np.diff(weights) <= 0).all()
     assert weights[-1] < 1e-3
-
-
-def test_weights_end_as_those_of_the_limit():
     sharpness = smoothest(CHI2, LIMIT)
     for _ in range(60):
         sharpness = sharper(sharpness)

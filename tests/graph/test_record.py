@@ -2,16 +2,12 @@ from hickory_stream.graph.solve import solve
 from tests.graph.graph_fixtures import solved_graph, walk
 
 
-def test_a_record_says_of_each_loop_whether_it_is_believed():
+def test_a_record_says_which_loops_are_believed_with_residuals():
     loops = solved_graph().loops
     wrong = walk().wrong
     assert [loop.status == "accepted" for loop in loops] == [loop.id not in wrong for loop in walk().graph.loops]
     assert loops[min(wrong)].status == "withdrawn"
     assert all((loop.reason == "") == (loop.status == "accepted") for loop in loops)
-
-
-def test_residuals_are_small_for_believed_loops_only():
-    loops = solved_graph().loops
     assert max(loop.residual_m for loop in loops if loop.status == "accepted") < 0.2
     assert min(loop.residual_m + loop.residual_rad for loop in loops if loop.status != "accepted") > 0.5
 

@@ -40,11 +40,8 @@ def test_storage_is_counted_as_the_layers_hold_it(map_path, summary):
     assert [row.num_objects for row in summary.layers] == [3, 2, 2, 2]
 
 
-def test_times_come_from_the_folder_and_may_be_absent(summary):
+def test_times_of_layers_and_sides_of_boxes_are_listed(summary):
     assert [row.seconds for row in summary.layers] == [1.5, 0.5, 0.25, None]
-
-
-def test_the_sizes_are_the_sides_of_the_boxes(summary):
     assert sorted(summary.objects[0].size_m) == pytest.approx([0.05, 0.8, 1.2], abs=0.03)
 
 
@@ -68,8 +65,7 @@ def test_a_sketch_is_named_as_what_it_is(tmp_path):
     folder = create_map_folder(tmp_path / "m", config={}, source={})
     snapshot = make_snapshot(folder)
     shaped, bare = snapshot.objects[0], snapshot.objects[1]
-    sketched = replace(bare, shape=None, sketch=shaped.shape.fitted)
-    folder.save(replace(snapshot, objects=(shaped, sketched)))
+    folder.save(replace(snapshot, objects=(shaped, replace(bare, shape=None, sketch=shaped.shape.fitted))))
     folder.finish(finished_cleanly=True)
     summary = summarize(open_map(tmp_path / "m"))
     assert [row.is_sketched for row in summary.objects] == [False, True]
@@ -81,8 +77,7 @@ def test_a_sketch_is_named_as_what_it_is(tmp_path):
 
 def test_an_empty_map_has_a_table(tmp_path):
     create_map_folder(tmp_path / "m", config={}, source={})
-    table = format_table(summarize(open_map(tmp_path / "m")))
-    assert "0 objects (none), not finished" in table
+    assert "0 objects (none), not finished" in format_table(summarize(open_map(tmp_path / "m")))
 
 
 def test_where_an_object_is_comes_from_its_best_layer(map_path, summary):

@@ -1,6 +1,3 @@
-"""Rooms that mislead a depth camera: the map has kinds with probabilities, and `explain` says why."""
-
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 import numpy as np
@@ -11,7 +8,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.inspection.point_history import story_of_point
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
-from hickory_stream.records import Frame, ObjectKind, RawFrame, SourceInfo
+from hickory_stream.records import ObjectKind, RawFrame, SourceInfo
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.perception.perception_scenes import Block, floor, looking, render
 
@@ -77,17 +74,17 @@ ROOMS = {
 class RoomSource:
     """A source of a room: a camera that goes sideways before the wall."""
 
-    def __init__(self, room: Room) -> None:
+    def __init__(self, room):
         self._room = room
 
     @property
-    def info(self) -> SourceInfo:
+    def info(self):
         return SourceInfo(
             uri="memory:room", kind="synthetic room", identity="room", camera=CAMERA, num_frames=NUM_FRAMES,
             start_ns=START_NS, end_ns=START_NS + (NUM_FRAMES - 1) * PERIOD_NS, streams=(("depth", "cast"),),
         )  # fmt: skip
 
-    def frames(self) -> Iterator[RawFrame]:
+    def frames(self):
         for i in range(NUM_FRAMES):
             pose = looking(self._room.look, start=(0.0, -1.4 + 0.4 * i, 1.3))
             yield RawFrame(
@@ -95,7 +92,7 @@ class RoomSource:
                 decode=partial(self._decode, i, pose),
             )  # fmt: skip
 
-    def _decode(self, index: int, pose: np.ndarray) -> Frame:
+    def _decode(self, index, pose):
         things, glass = list(self._room.things), self._room.glass
         frame, _ = render(things, pose, CAMERA)
         depth_m = frame.depth_m
@@ -104,10 +101,10 @@ class RoomSource:
             depth_m = np.where(shown == len(things), np.float32(np.nan), depth_m)
         return replace(frame, index=index, stamp_ns=START_NS + index * PERIOD_NS, depth_m=depth_m)
 
-    def ledger(self) -> dict[str, int]:
+    def ledger(self):
         return {"frames": NUM_FRAMES}
 
-    def close(self) -> None:
+    def close(self):
         pass
 
 

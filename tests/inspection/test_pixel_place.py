@@ -1,5 +1,3 @@
-"""Where a pixel is: by a mask, by recorded depth, by the log's depth."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -19,17 +17,10 @@ from tests.inspection.keyframe_fixtures import (
 )
 
 
-def test_a_mask_pixel_is_at_the_nearest_point_of_the_mask():
-    place = place_in_keyframe(a_keyframe(), ON_THING, 1)
-    assert place == pytest.approx(point_at(ON_THING, THING_M), abs=1e-6)
-
-
-def test_a_structure_pixel_is_at_its_depth_in_the_placed_submap():
+def test_a_pixels_place_is_its_masks_point_its_depth_or_none():
+    assert place_in_keyframe(a_keyframe(), ON_THING, 1) == pytest.approx(point_at(ON_THING, THING_M), abs=1e-6)
     place = place_in_keyframe(a_keyframe(map_from_odometry=placed(5, 0, 0)), ON_WALL, STRUCTURE)
     assert place == pytest.approx(point_at(ON_WALL, WALL_M) + np.float64([5, 0, 0]))
-
-
-def test_a_pixel_without_depth_has_no_place():
     assert place_in_keyframe(a_keyframe(), WITHOUT_DEPTH, NO_DEPTH) is None
 
 

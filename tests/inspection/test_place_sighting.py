@@ -1,5 +1,3 @@
-"""What a keyframe of a thing before a wall takes each place for."""
-
 import numpy as np
 import pytest
 from hickory_stream.config import MapperConfig
@@ -48,12 +46,9 @@ def test_a_place_is_what_depth_and_masks_say_of_it(pixel, depth_m, text):
     assert (sighting.track_id == 5) == (sighting.where == "mask")
 
 
-def test_a_place_outside_the_image_is_not_seen():
+def test_a_place_is_looked_for_in_its_placed_submap_and_image():
     assert seen((80.0, 24.0), 2.0) is None
     assert seen(ON_THING, -2.0) is None
-
-
-def test_a_place_is_looked_for_where_its_submap_was_placed():
     moved = seen(ON_THING, THING_M, shift_m=(5.0, 1.0, 0.0))
     assert moved is not None
     assert moved == seen(ON_THING, THING_M)

@@ -1,5 +1,3 @@
-"""The history of a track in words."""
-
 from hickory_stream.evaluation.why_text import place_text
 from hickory_stream.inspection.point_history import PlaceStory
 from hickory_stream.inspection.track_history import track_story

@@ -1,5 +1,3 @@
-"""The state of the core is written every so many keyframes, and not while a search is open."""
-
 from hickory_stream.engine.step_writer import CheckpointTimes
 
 
@@ -9,12 +7,9 @@ def due(keyframes, searching):
     return "".join("x" if times.is_due(searches=one == "s") else "." for one in searching)
 
 
-def test_one_is_due_every_so_many_keyframes():
+def test_one_is_due_every_few_keyframes_and_waits_for_searches():
     assert due(3, ".........") == "..x..x..x"
     assert due(1, "...") == "xxx"
-
-
-def test_one_waits_for_searches_but_not_for_ever():
     assert due(3, "..sss.....") == ".....x..x."
     assert due(3, "ss........") == "..x..x..x."
     assert due(2, "s" * 12) == "...x...x...x"

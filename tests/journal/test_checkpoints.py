@@ -36,8 +36,7 @@ def bytes_of(cloud):
 def test_a_packed_state_comes_back_to_the_byte(hits, sightings):
     cloud = cloud_of(hits)
     track = track_of(cloud, solid_part(cloud, sightings))
-    state = Packer().packed({"tracks": {1: track}, "_next": 3})
-    back = unpacked(state)
+    back = unpacked(Packer().packed({"tracks": {1: track}, "_next": 3}))
     assert back["_next"] == 3
     assert bytes_of(back["tracks"][1].cloud) == bytes_of(track.cloud)
     assert bytes_of(back["tracks"][1].solid) == bytes_of(track.solid)

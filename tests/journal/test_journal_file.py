@@ -1,5 +1,3 @@
-"""The file of a journal is whole MCAP, whoever began it, and is gone on with where it ends."""
-
 import pytest
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -60,8 +58,7 @@ def test_a_run_killed_while_writing_the_index_loses_nothing(tmp_path):
         end = journal.num_bytes
         index = index_of(journal.last_records())
     assert whole[end:] == index
-    first = len(index_of_first(index))
-    for cut in range(end + first, len(whole) + 1):
+    for cut in range(end + len(index_of_first(index)), len(whole) + 1):
         (tmp_path / JOURNAL).write_bytes(whole[:cut])
         go_on(tmp_path)
         assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 2))

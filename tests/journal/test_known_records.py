@@ -1,5 +1,3 @@
-"""Where the records of the map after each step are: whatever changed, came or went, also when a run is continued."""
-
 from dataclasses import replace
 import pytest
 from hickory_stream.errors import MapFolderError

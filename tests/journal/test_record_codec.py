@@ -63,8 +63,7 @@ def test_sorted_keys_of_voxels_take_a_tenth_of_their_size():
 @given(st.lists(st.integers(1, 200), max_size=300), st.integers(-(2**62), 2**61))
 def test_keys_in_columns_come_back(steps, first):
     keys = np.repeat(np.cumsum([0, *steps], dtype=np.int64) * 64 + first, 3) + np.tile([0, 1, 2], len(steps) + 1)
-    read = decode(encode(keys))
-    assert read.tobytes() == keys.tobytes()
+    assert decode(encode(keys)).tobytes() == keys.tobytes()
 
 
 @pytest.mark.parametrize("first", [0, 1, 63, -64, 1 << 50])

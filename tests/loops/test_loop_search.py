@@ -1,14 +1,11 @@
-"""The search for loops: where a submap overlaps, where it could be meant elsewhere, and where only objects tell."""
-
 from dataclasses import replace
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.loops import search
 from hickory_stream.loops.config import LoopConfig
 from hickory_stream.loops.predictions import Predicted
 from hickory_stream.loops.search import LoopQuery, search_loops
-from hickory_stream.loops.surfaces import Surface, SurfaceFit, refined
+from hickory_stream.loops.surfaces import refined
 from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.loops.loop_fixtures import air, off, room, shift, surface
@@ -18,14 +15,7 @@ DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
 CONFIG = LoopConfig()
 
 
-def query(
-    earlier: Surface,
-    later: Surface,
-    *,
-    predicted: NDArray[np.float64] | None = None,
-    sigma_m: float = 0.08,
-    snapshot: MapSnapshot | None = None,
-) -> LoopQuery:
+def query(earlier, later, *, predicted=None, sigma_m=0.08, snapshot=None):
     known = Predicted(
         earlier_from_later=np.eye(4) if predicted is None else predicted, sigma_m=sigma_m, sigma_yaw_rad=0.02
     )
@@ -38,12 +28,9 @@ def test_a_room_that_is_entered_again_is_a_loop():
     assert off(loop.earlier_from_later, DRIFT)[0] < 0.015
 
 
-def test_another_room_is_no_candidate():
+def test_another_room_and_too_little_surface_make_no_loop():
     elsewhere = surface(room(), own_from_world=shift(9.0, 0.0), seed=1)
     assert search_loops(query(surface(room()), elsewhere), CONFIG) == ()
-
-
-def test_too_little_surface_is_not_searched():
     few = surface([patch([0, 0, 0], [0.5, 0, 0], [0, 0.5, 0], [0, 0, 1])])
     assert search_loops(query(surface(room()), few), CONFIG) == ()
 
@@ -58,11 +45,9 @@ def test_like_things_in_a_row_are_told_to_fit_elsewhere_as_well():
 
 
 def test_starts_that_come_to_one_place_are_refined_once(monkeypatch):
-    starts: list[NDArray[np.float64]] = []
+    starts = []
 
-    def counted(
-        earlier: Surface, later: Surface, predicted: NDArray[np.float64], near: NDArray[np.float64]
-    ) -> SurfaceFit:
+    def counted(earlier, later, predicted, near):
         starts.append(predicted)
         return refined(earlier, later, predicted, near)
 

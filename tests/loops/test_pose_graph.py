@@ -14,7 +14,7 @@ CONFIG, LOOPS = GraphConfig(), LoopConfig()
 NONE = np.empty((0, 3), np.float32)
 
 
-def submap(submap_id: int, x_m: float, y_m: float, *, after_jump: bool = False) -> SurveyedSubmap:
+def submap(submap_id, x_m, y_m, *, after_jump=False):
     return SurveyedSubmap(
         id=submap_id, world_from_submap=np.eye(4),
         anchor=from_rotation_translation(yaw_rotation(0.3 * submap_id), np.array([x_m, y_m, 1.0])), way_m=5.0,
@@ -73,8 +73,7 @@ def test_submaps_that_hardly_move_against_each_other_stay_one():
 def test_a_common_move_is_none_and_a_jump_edge_gives_way():
     away = from_rotation_translation(yaw_rotation(1.0), np.array([3.0, 4.0, 0.0]))
     assert not is_correction(WALK, [away] * 5, [np.eye(4)] * 5)
-    torn = [*WALK[:2], replace(WALK[2], after_jump=True), *WALK[3:]]
-    edges = pose_graph(torn, [], STAMPS, CONFIG).odometry
+    edges = pose_graph([*WALK[:2], replace(WALK[2], after_jump=True), *WALK[3:]], [], STAMPS, CONFIG).odometry
     assert [edge.is_jump for edge in edges] == [False, True, False, False]
     assert edges[1].covariance[3, 3] > 100 * edges[0].covariance[3, 3]
 

@@ -80,8 +80,7 @@ def test_lossy_colours_keep_mask_and_depth_exact(tmp_path, colors, suffix):
     assert np.array_equal(back.depth_m, exact.depth_m, equal_nan=True)
     assert np.array_equal(back.world_from_camera, exact.world_from_camera)
     assert (back.camera, back.sensor) == (exact.camera, exact.sensor)
-    difference = np.abs(back.rgb.astype(int) - crop.rgb)
-    assert 0 < difference.max() <= 8
+    assert 0 < np.abs(back.rgb.astype(int) - crop.rgb).max() <= 8
 
 
 def test_lossy_colours_are_in_the_order_that_they_were_in(tmp_path):

@@ -1,5 +1,3 @@
-"""What is far away lies in a file without a name: the map is the same, and a disk that refuses it costs nothing."""
-
 import errno
 import logging
 import subprocess
@@ -77,8 +75,7 @@ def test_a_resumed_run_reads_only_arrays_in_use(tmp_path):
     before, _ = mapped(tmp_path / "map", None)
     with Journal(tmp_path / "map") as read:
         last = len(read) - 1
-        found = read.checkpoint_before(last, reads_later=True)
-        core = MapperCore.from_state(CONFIG, found[1].core)
+        core = MapperCore.from_state(CONFIG, read.checkpoint_before(last, reads_later=True)[1].core)
         writer = JournalWriter(tmp_path / "map", flush_s=60.0, continued=read)
     size = (tmp_path / "map" / "journal.mcap").stat().st_size
     writer.append(entry(last + 1))
@@ -158,6 +155,5 @@ def test_a_process_that_is_killed_leaves_nothing(tmp_path):
         "far = FarArrays(Path(sys.argv[1])); read = far.keep(bytes(range(256)) * 40); "
         "assert read() == bytes(range(256)) * 40; os.kill(os.getpid(), signal.SIGKILL)"
     )
-    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], check=False)
-    assert done.returncode == -9
+    assert subprocess.run([sys.executable, "-c", program, str(tmp_path)], check=False).returncode == -9
     assert list(tmp_path.iterdir()) == []

@@ -1,5 +1,3 @@
-"""Maps from strangers: nothing outside of the folder is read or written, whatever its files name."""
-
 import json
 import os
 import shutil

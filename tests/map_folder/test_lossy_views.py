@@ -1,5 +1,3 @@
-"""Maps whose views have lossy colours: played, stopped and gone on with, verified, merged, and cleared up."""
-
 import shutil
 from dataclasses import replace
 import numpy as np
@@ -56,12 +54,10 @@ def test_a_shape_of_lossy_views_differs_in_colours_only(tmp_path):
     for colors in ("png", "jpeg"):
         views, folder = tmp_path / colors, tmp_path / "jobs" / colors
         views.mkdir()
-        request = scene_request(views, num_views=2, views_as=RunConfig(view_colors=colors))
-        write_job(folder, request, views, config)
+        write_job(folder, scene_request(views, num_views=2, views_as=RunConfig(view_colors=colors)), views, config)
         shutil.rmtree(views)  # what a job needs is its own
         inputs, read = read_job(folder)
-        shape = build_shape(inputs, make_reconstructor(read.reconstructor, read), read)
-        built.append(shape)
+        built.append(build_shape(inputs, make_reconstructor(read.reconstructor, read), read))
     exact, lossy = built
     mesh, exact_mesh = lossy.reconstruction.mesh, exact.reconstruction.mesh
     assert np.array_equal(mesh.vertices, exact_mesh.vertices)

@@ -1,5 +1,3 @@
-"""Saving one snapshot after another gives the document of the whole, and only the files that are new."""
-
 import json
 from dataclasses import replace
 import numpy as np

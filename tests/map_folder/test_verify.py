@@ -46,8 +46,7 @@ def states(verdict, check):
 
 def call(capsys, *arguments):
     capsys.readouterr()
-    status = main([str(argument) for argument in arguments])
-    return status, *capsys.readouterr()
+    return main([str(argument) for argument in arguments]), *capsys.readouterr()
 
 
 def test_a_sound_map_is_proven_and_not_a_byte_of_it_changes(path):
@@ -82,8 +81,7 @@ def test_a_merged_maps_layer_four_is_proven_from_its_meshes(path):
     assert verdict.num_proven >= 3
     changed = shrink_layer_four(path)
     compute_digest_anew(path)
-    failed = [f.object_id for f in verify(path).findings if f.state is State.FAILS]
-    assert failed == [changed]
+    assert [f.object_id for f in verify(path).findings if f.state is State.FAILS] == [changed]
 
 
 def test_a_shrunk_layer_four_is_nowhere_certified_or_exported(path, tmp_path, capsys):

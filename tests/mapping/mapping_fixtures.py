@@ -1,15 +1,12 @@
 """Boxes of points, observations and tracks made of them, and a driver that answers the core as the engine does."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
     DropView,
-    Effect,
-    Event,
     FeaturesReady,
     FrameObserved,
     KeepView,
@@ -22,9 +19,8 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import cloud_of
-from hickory_stream.mapping.entities.observed_space import SpaceState, empty_space
+from hickory_stream.mapping.entities.observed_space import empty_space
 from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
@@ -35,7 +31,7 @@ SECOND_NS = 1_000_000_000
 Triple = tuple[float, float, float]
 
 
-def box_surface(center: Triple, size: Triple = (0.2, 0.2, 0.2), yaw_rad: float = 0.0) -> NDArray[np.float32]:
+def box_surface(center, size=(0.2, 0.2, 0.2), yaw_rad=0.0):
     """(N, 3) points on the surface of an upright box, on a grid finer than the voxels."""
     axes = [np.linspace(-s / 2, s / 2, max(2, int(np.ceil(s / (0.7 * VOXEL_M))))) for s in size]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -46,15 +42,7 @@ def box_surface(center: Triple, size: Triple = (0.2, 0.2, 0.2), yaw_rad: float =
     return (np.ceil(points * np.float32(STEPS_PER_M)) / np.float32(STEPS_PER_M)).astype(np.float32)
 
 
-def observation(
-    index: int,
-    points: NDArray[np.float32],
-    *,
-    box_px: tuple[int, int, int, int] | None = None,
-    r_area: float = 0.05,
-    r_depth: float = 0.9,
-    color: tuple[int, int, int] = (120, 90, 60),
-) -> Observation:
+def observation(index, points, *, box_px=None, r_area=0.05, r_depth=0.9, color=(120, 90, 60)):
     """An observation of these points; no two of a frame have the same `box_px` unless it is given."""
     box_px = box_px or (20 * index, 5, 20 * index + 16, 17)
     return Observation(
@@ -64,7 +52,7 @@ def observation(
     )  # fmt: skip
 
 
-def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, phase: Phase = Phase.ACTIVE) -> Track:
+def track(track_id, points, *, sightings=3, phase=Phase.ACTIVE):
     """A track that was seen at these points, each in every one of its keyframes, one per second; last at clock 0."""
     cloud = cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
     cloud = replace(cloud, hits=cloud.hits * sightings)
@@ -75,16 +63,14 @@ def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, pha
     )  # fmt: skip
 
 
-def graph_of(
-    tracks: Mapping[int, Track] | Iterable[Track], space: SpaceState | None = None, *, floor_z_m: float | None = None
-) -> SupportGraph:
+def graph_of(tracks, space=None, *, floor_z_m=None):
     """The support graph of tracks, in a room where nothing was seen but a floor, unless another one is given."""
     bodies = tracks if isinstance(tracks, Mapping) else {item.id: item for item in tracks}
     room = replace(empty_space(0.05), floor_z_m=floor_z_m) if space is None else space
     return SupportGraph(bodies=bodies, space=room)
 
 
-def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, r_depth: float = 0.9) -> View:
+def view(frame_index, *, score=None, r_area=0.05, r_depth=0.9):
     return View(
         object_id=1, frame_index=frame_index, stamp_ns=frame_index * SECOND_NS, box_px=(0, 0, 16, 12),
         world_from_camera=np.eye(4), r_area=r_area, r_depth=r_depth, box_volume_m3=0.01, score=score, variance=None,
@@ -92,17 +78,12 @@ def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, 
     )  # fmt: skip
 
 
-def camera_at(angle_rad: float, distance_m: float = 3.0) -> NDArray[np.float64]:
+def camera_at(angle_rad, distance_m=3.0):
     """world_from_camera of a camera on a circle around the origin; only its place matters to the core."""
     return from_rotation_translation(np.eye(3), distance_m * np.array([np.cos(angle_rad), np.sin(angle_rad), 0.4]))
 
 
-def space(
-    free: NDArray[np.int64] | None = None,
-    structure: NDArray[np.int64] | None = None,
-    floor_z_m: float | None = None,
-    surface: NDArray[np.int64] | None = None,
-) -> SpaceObservation:
+def space(free=None, structure=None, floor_z_m=None, surface=None):
     none = np.zeros(0, dtype=np.int64)
     return SpaceObservation(
         free_keys=none if free is None else np.unique(free),
@@ -112,14 +93,7 @@ def space(
     )
 
 
-def keyframe(
-    frame_index: int,
-    observations: Iterable[Observation],
-    *,
-    stamp_ns: int | None = None,
-    seen: SpaceObservation | None = None,
-    angle_rad: float = 0.0,
-) -> FrameObserved:
+def keyframe(frame_index, observations, *, stamp_ns=None, seen=None, angle_rad=0.0):
     """A keyframe, by default one per second."""
     return FrameObserved(
         frame_index=frame_index, stamp_ns=frame_index * SECOND_NS if stamp_ns is None else stamp_ns,
@@ -127,13 +101,13 @@ def keyframe(
     )  # fmt: skip
 
 
-def feature(index: int, variance: float) -> MaskFeature:
+def feature(index, variance):
     pooled = np.zeros(4, dtype=np.float32)
     pooled[index % 4] = 1.0
     return MaskFeature(observation_index=index, variance=variance, pooled=pooled)
 
 
-def shape(ticket: int) -> ObjectShape:
+def shape(ticket):
     unit = Superquadrics(exponents=np.ones((1, 2)), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
     return ObjectShape(
         revision=ticket, reconstructor="fused", mesh_name=f"{ticket:06d}.glb", mesh_sha256="0" * 64,
@@ -142,15 +116,13 @@ def shape(ticket: int) -> ObjectShape:
     )  # fmt: skip
 
 
-def shape_ready(ticket: int, object_id: int) -> ShapeReady:
+def shape_ready(ticket, object_id):
     return ShapeReady(ticket=ticket, object_id=object_id, stamp_ns=0, shape=shape(ticket))
 
 
-def drive(
-    core: MapperCore, events: Sequence[Event], variance_of: Callable[[int, int], float] = lambda frame, index: 0.5
-) -> list[Effect]:
+def drive(core, events, variance_of=lambda frame, index: 0.5):
     """Hand events to a core, answer every `ComputeFeatures` at once, and return all effects."""
-    effects: list[Effect] = []
+    effects = []
     for event in events:
         effects += core.handle(event)
         if effects and isinstance(effects[-1], ComputeFeatures):
@@ -160,9 +132,9 @@ def drive(
     return effects
 
 
-def told(effects: Iterable[Effect]) -> list[tuple[object, ...]]:
+def told(effects):
     """Effects as short tuples, to be compared as a list."""
-    short: list[tuple[object, ...]] = []
+    short = []
     for effect in effects:
         match effect:
             case ComputeFeatures():

@@ -1,9 +1,7 @@
 """A wall with pictures of known thickness, as a stereo camera sees it: noise and steps are those of disparity."""
 
-from collections.abc import Sequence
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -18,7 +16,7 @@ PICTURES = (
 )  # fmt: skip
 
 
-def true_boxes() -> list[OrientedBox]:
+def true_boxes():
     return [
         OrientedBox(
             world_from_box=from_rotation_translation(np.eye(3), np.array([thick / 2, y, z])),
@@ -28,7 +26,7 @@ def true_boxes() -> list[OrientedBox]:
     ]
 
 
-def frames(distance_m: float, count: int, sigma_per_m: float, seed: int = 0) -> Sequence[tuple[Frame, Segmentation]]:
+def frames(distance_m, count, sigma_per_m, seed=0):
     """Frames from places around one at this distance, with the true masks; depth errs by `sigma_per_m` z^2."""
     rng = np.random.default_rng(seed)
     made = []
@@ -46,14 +44,14 @@ def frames(distance_m: float, count: int, sigma_per_m: float, seed: int = 0) -> 
     return made
 
 
-def _looking_at(place: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+def _looking_at(place, target):
     forward = (target - place) / np.linalg.norm(target - place)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), place)
 
 
-def _rendered(world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _rendered(world_from_camera):
     # Rays meet a wall, or one of the slabs before it.
     v, u = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
@@ -68,7 +66,7 @@ def _rendered(world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.float6
     return depth, labels
 
 
-def _sensed(depth: NDArray[np.float64], sigma_per_m: float, rng: np.random.Generator) -> NDArray[np.float32]:
+def _sensed(depth, sigma_per_m, rng):
     # Half of the variance is that of neighbours, too, which are matched with overlapping windows.
     smooth = cv2.GaussianBlur(rng.standard_normal(depth.shape), (0, 0), _CORRELATION_PX)
     noise = (smooth / smooth.std() + rng.standard_normal(depth.shape)) / np.sqrt(2)

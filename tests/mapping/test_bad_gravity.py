@@ -3,7 +3,6 @@
 The whole first layer is played, with the segmenter that needs no network, on cast scenes whose truth is known.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from hickory_stream.mapping.floor_warnings import floor_warnings
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
-from hickory_stream.records import Decision, Frame, MapSnapshot, ObservedSpace, Phase
+from hickory_stream.records import Decision, Frame, MapSnapshot, Phase
 from tools.evaluation.masks.first_layer import answered
 
 Pose = NDArray[np.float64]
@@ -36,11 +35,11 @@ class Played:
     decisions: list[Decision]
     midway: list[MapSnapshot]
 
-    def boxes(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def boxes(self):
         found = [o.box.corners_world() for o in self.snapshot.objects if o.phase is not Phase.TENTATIVE]
         return [(corners.min(axis=0), corners.max(axis=0)) for corners in found]
 
-    def has(self, box: SceneBox, world_from_scene: Pose | None = None) -> bool:
+    def has(self, box, world_from_scene=None):
         """Whether an object of the map has the middle of a box, to 8 cm, and no side that is longer by half."""
         pose = np.eye(4) if world_from_scene is None else world_from_scene
         low, high = np.array(box.low), np.array(box.high)
@@ -50,21 +49,15 @@ class Played:
             np.abs((a + b) / 2 - middle).max() < 0.08 and (b - a).max() < 1.5 * size + 0.05 for a, b in self.boxes()
         )
 
-    def floor_decisions(self) -> list[str]:
+    def floor_decisions(self):
         return [decision.text for decision in self.decisions if decision.kind == "floor"]
 
 
-def played(
-    boxes: Sequence[SceneBox],
-    poses: Sequence[Pose],
-    told: Sequence[Pose] | None = None,
-    *,
-    is_upside_down: bool = False,
-) -> Played:
+def played(boxes, poses, told=None, *, is_upside_down=False):
     """Play what a camera sees from `poses`, with the poses that the odometry `told`."""
     config, mapping = PerceptionConfig(segmenter="geometric"), MappingConfig()
     segmenter, extractor, core = make_segmenter(config), ColorTextureDescriptor(), MapperCore(mapping)
-    decisions: list[Decision] = []
+    decisions = []
     midway = []
     for i, (pose, said) in enumerate(zip(poses, told or poses, strict=True)):
         rgb, depth_m, _ = cast_scene(boxes, SCENE_CAMERA, pose)
@@ -77,7 +70,7 @@ def played(
         )  # fmt: skip
         seen = perceive(frame, core.prior(), None, segmenter, config, lattice=mapping.voxels)
 
-        def features(effect, frame=frame, seen=seen):  # type: ignore[no-untyped-def]
+        def features(effect, frame=frame, seen=seen):
             from hickory_stream.events import FeaturesReady
 
             pooled, _ = features_of(frame, seen.observations, effect.observation_indices, extractor)
@@ -89,7 +82,7 @@ def played(
     return Played(snapshot=midway[-1], decisions=decisions, midway=midway)
 
 
-def about(axis: int, degrees: float) -> Pose:
+def about(axis, degrees):
     angle = np.radians(degrees)
     rotation = np.eye(3)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -98,11 +91,11 @@ def about(axis: int, degrees: float) -> Pose:
     return from_rotation_translation(rotation, np.zeros(3))
 
 
-def raised(pose: Pose, by_m: float) -> Pose:
+def raised(pose, by_m):
     return from_rotation_translation(np.eye(3), np.array([0.0, 0.0, by_m])) @ pose
 
 
-def looking(eye: tuple[float, float, float], at: tuple[float, float, float]) -> Pose:
+def looking(eye, at):
     forward = np.array(at) - np.array(eye)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -110,7 +103,7 @@ def looking(eye: tuple[float, float, float], at: tuple[float, float, float]) -> 
     return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), np.array(eye))
 
 
-def at_height(space: ObservedSpace, z_m: float) -> int:
+def at_height(space, z_m):
     """How many voxels of structure there are at a height."""
     return int((np.abs(centers_of_keys(space.structure, space.voxel_m)[:, 2] - z_m) < 0.05).sum())
 
@@ -121,7 +114,7 @@ AROUND_THE_TABLE = [looking((2.9 * np.cos(a), 2.9 * np.sin(a), 1.6), (0.0, 0.0, 
 
 
 @pytest.fixture(scope="module")
-def over_the_table() -> Played:
+def over_the_table():
     return played((TABLE, LEG, *ON_TABLE), OVER_THE_TABLE)
 
 
@@ -176,15 +169,13 @@ def test_a_camera_that_hangs_upside_down_maps_the_same_objects():
 
 def test_poses_with_z_down_give_the_message_of_no_floor():
     flip = about(0, 180.0)
-    found = played(SCENE_BOXES, CIRCLE, [flip @ pose for pose in CIRCLE])
-    (note,) = floor_warnings(found.snapshot)
+    (note,) = floor_warnings(played(SCENE_BOXES, CIRCLE, [flip @ pose for pose in CIRCLE]).snapshot)
     assert "no floor was seen" in note
     assert "z upwards" in note
 
 
 def test_a_log_that_begins_out_of_range_maps_what_comes_later():
-    above = [looking((2.0, 0.0, 9.0 - 0.2 * i), (0.0, 0.0, 8.0)) for i in range(4)]
-    found = played(SCENE_BOXES, [*above, *CIRCLE])
+    found = played(SCENE_BOXES, [*[looking((2.0, 0.0, 9.0 - 0.2 * i), (0.0, 0.0, 8.0)) for i in range(4)], *CIRCLE])
     assert floor_warnings(found.midway[3]) == ()
     assert all(found.has(box) for box in SCENE_BOXES)
     assert found.snapshot.submaps[0].observed_space.floor_z_m == pytest.approx(0.0, abs=0.02)
@@ -193,8 +184,7 @@ def test_a_log_that_begins_out_of_range_maps_what_comes_later():
 def test_a_lift_gives_a_submap_with_a_floor_for_each_storey():
     ride = [raised(CIRCLE[-1], 0.5 * i) for i in range(1, 6)]
     upstairs = [raised(pose, 3.0) for pose in CIRCLE]
-    seen = [*CIRCLE, *([CIRCLE[-1]] * 5), *CIRCLE]
-    found = played(SCENE_BOXES, seen, [*CIRCLE, *ride, *upstairs])
+    found = played(SCENE_BOXES, [*CIRCLE, *([CIRCLE[-1]] * 5), *CIRCLE], [*CIRCLE, *ride, *upstairs])
     assert any("another storey" in text for text in found.floor_decisions())
     floors = [submap.observed_space.floor_z_m for submap in found.snapshot.submaps]
     assert floors[0] == pytest.approx(0.0, abs=0.02)

@@ -1,5 +1,3 @@
-"""A keyframe costs what it sees, and the map is the one of a core that goes through everything."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -32,7 +30,7 @@ LOOKS = st.lists(
 THINGS = ((0.0, (0.2, 0.2, 0.2)), (0.23, (0.2, 0.2, 0.3)), (1.0, (0.6, 0.04, 0.6)))
 
 
-def keyframes(looks: list[tuple[int, int, str, int]]) -> list[FrameObserved]:
+def keyframes(looks):
     events, stamp_ns = [], 0
     for i, (place, which, what, seconds) in enumerate(looks):
         stamp_ns += seconds * SECOND_NS
@@ -62,7 +60,7 @@ def keyframes(looks: list[tuple[int, int, str, int]]) -> list[FrameObserved]:
     return events
 
 
-def mapped(looks: list[tuple[int, int, str, int]]) -> tuple[str, MapperCore]:
+def mapped(looks):
     core = MapperCore(CONFIG)
     drive(core, keyframes(looks))
     core.validate()
@@ -74,7 +72,7 @@ def mapped(looks: list[tuple[int, int, str, int]]) -> tuple[str, MapperCore]:
 class Everything(ageing.Concerned):
     """All tracks, as if every keyframe concerned them."""
 
-    def __init__(self, state, event, config):  # type: ignore[no-untyped-def]
+    def __init__(self, state, event, config):
         state.stirred = set(state.tracks)
         super().__init__(state, event, config)
 

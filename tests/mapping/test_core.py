@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
-    Effect,
-    Event,
     FeaturesReady,
-    FrameObserved,
     KeepView,
     PoseJumped,
     PosesCorrected,
@@ -30,7 +27,7 @@ from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
-from hickory_stream.records import MapSnapshot, Observation, Phase, RejectedMask, TrackedObject
+from hickory_stream.records import Phase, RejectedMask
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,
     VOXEL_M,
@@ -59,29 +56,29 @@ LEFT, RIGHT = box_surface((0, 0, 0.1)), box_surface((0.2, 0, 0.1))
 WHOLE = box_surface((0.1, 0, 0.1), (0.4, 0.2, 0.2))
 
 
-def both(area_a: float = 0.05, area_b: float = 0.05) -> tuple[Observation, Observation]:
+def both(area_a=0.05, area_b=0.05):
     return observation(0, A, r_area=area_a), observation(1, B, r_area=area_b)
 
 
-def frame(frame_index: int, *seen: Observation, stamp_s: float | None = None) -> FrameObserved:
+def frame(frame_index, *seen, stamp_s=None):
     stamp_ns = None if stamp_s is None else round(stamp_s * SECOND_NS)
     return keyframe(frame_index, seen, stamp_ns=stamp_ns, angle_rad=ANGLE_RAD)
 
 
-def last_publish(effects: list[Effect]) -> Publish:
+def last_publish(effects):
     assert isinstance(effects[-1], Publish)
     return effects[-1]
 
 
-def by_id(snapshot: MapSnapshot) -> dict[int, TrackedObject]:
+def by_id(snapshot):
     return {tracked.id: tracked for tracked in snapshot.objects}
 
 
-def requests(effects: list[Effect]) -> list[RequestShape]:
+def requests(effects):
     return [effect for effect in effects if isinstance(effect, RequestShape)]
 
 
-def kinds(effects: list[Effect], object_id: int | None) -> list[str]:
+def kinds(effects, object_id):
     return [d.kind for e in effects if isinstance(e, Publish) for d in e.decisions if d.object_id == object_id]
 
 
@@ -89,7 +86,7 @@ def test_two_boxes_over_several_keyframes_give_these_effects():
     core = MapperCore(CONFIG)
     variances = {(0, 0): 0.5, (0, 1): 0.5, (1, 1): 0.4, (2, 0): 0.5}
 
-    def step(*events: Event) -> list[tuple[object, ...]]:
+    def step(*events):
         return told(drive(core, events, lambda f, i: variances[f, i]))
 
     # New: both have no best view, so that both bounds win; both are the first of their sector.
@@ -126,7 +123,7 @@ def test_time_of_observation_confirms_at_every_keyframe_rate():
     # From when until when each is seen, in seconds: two on the way, a glimpse, and one with a long pause.
     times_s = [[(0, 6)], [(1, 3)], [(1, 2.75)], [(0, 0.25), (6, 6)]]
 
-    def confirmed(hz: int) -> dict[int, int]:
+    def confirmed(hz):
         core = MapperCore(CONFIG)
         for i in range(6 * hz + 1):
             is_seen = [any(first <= i / hz <= last for first, last in times) for times in times_s]
@@ -202,8 +199,7 @@ def test_a_confirmed_object_has_a_sketch_until_its_shape_comes():
         assert tracked.phase is Phase.ACTIVE
         assert tracked.sketch is not None
         # The boxes of the script are boxes.
-        off_m = np.abs(radial_distance_m(tracked.sketch, 0, tracked.points_world))
-        assert np.quantile(off_m, 0.9) <= VOXEL_M
+        assert np.quantile(np.abs(radial_distance_m(tracked.sketch, 0, tracked.points_world)), 0.9) <= VOXEL_M
         assert volumes_m3(tracked.sketch)[0] == pytest.approx(tracked.box.volume_m3, rel=0.3)
         assert tracked.superquadrics is tracked.sketch
     core.handle(shape_ready(2, 2))
@@ -242,7 +238,7 @@ def test_a_ticket_ends_once():
     assert by_id(core.snapshot())[1].shape is None
 
 
-def halves(core: MapperCore) -> list[Effect]:
+def halves(core):
     """Three keyframes that see the halves one at a time, and so never apart; both get a shape job."""
     return drive(core, [frame(i, observation(0, LEFT if i % 2 == 0 else RIGHT)) for i in range(6)])
 
@@ -385,7 +381,7 @@ def test_an_object_returns_under_its_own_id():
     assert phases == [(1, "dormant"), (1, "active"), (1, "archived"), (1, "active")]
 
 
-def looked_through(frame_index: int) -> FrameObserved:
+def looked_through(frame_index):
     free = keys_of_points(np.concatenate([A, A + np.float32(0.01)]), CONFIG.voxels.space_m)
     return replace(frame(frame_index), space=space(free=free))
 
@@ -518,7 +514,7 @@ def test_lazy_features_give_the_same_best_views(factors, strategy):
 
 def test_a_new_best_view_is_kept_before_its_shape_is_requested():
     core = MapperCore(CONFIG)
-    kept: set[str] = set()
+    kept = set()
     for effect in drive(core, [frame(i, *both(0.05 + 0.02 * i, 0.05)) for i in range(12)], lambda f, i: 0.05 * f):
         if isinstance(effect, KeepView):
             kept.add(effect.view.name)
@@ -527,15 +523,14 @@ def test_a_new_best_view_is_kept_before_its_shape_is_requested():
 
 
 def test_the_same_events_give_the_same_snapshots_to_the_byte():
-    def run() -> list[str]:
+    def run():
         rng = np.random.default_rng(11)
         core = MapperCore(CONFIG)
         digests = []
         for i in range(8):
             noise = rng.normal(0, 0.003, A.shape).astype(np.float32)
             seen = [observation(0, A + noise, r_area=float(rng.random())), observation(1, B - noise)]
-            effects = drive(core, [frame(i, *seen)], lambda f, i: 0.1 + 0.1 * ((f + i) % 5))
-            for request in requests(effects):
+            for request in requests(drive(core, [frame(i, *seen)], lambda f, i: 0.1 + 0.1 * ((f + i) % 5))):
                 drive(core, [shape_ready(request.ticket, request.object_id)])
             digests.append(map_digest(core.snapshot()))
         return digests
@@ -546,7 +541,7 @@ def test_the_same_events_give_the_same_snapshots_to_the_byte():
 def test_an_endless_look_at_equal_things_does_not_grow_the_map():
     core = MapperCore(CONFIG)
 
-    def size_after(frames: range) -> tuple[int, ...]:
+    def size_after(frames):
         last = last_publish(drive(core, [frame(i, *both()) for i in frames]))
         num_points = sum(len(tracked.points_world) for tracked in last.snapshot.objects)
         num_views = sum(len(tracked.views) for tracked in last.snapshot.objects)

@@ -1,6 +1,3 @@
-"""The core under random events: boxes that come, move a little, are seen in part or as one, and vanish."""
-
-from typing import Any
 import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -9,8 +6,6 @@ from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
     DropView,
-    Effect,
-    Event,
     FeaturesReady,
     KeepView,
     PoseJumped,
@@ -29,7 +24,6 @@ from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
-from hickory_stream.records import MapSnapshot
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,
     VOXEL_M,
@@ -54,7 +48,7 @@ CONFIG = MappingConfig(
 )
 
 
-def points_at(site: int, kind: str, shift_m: float) -> np.ndarray:
+def points_at(site, kind, shift_m):
     """A box at one of four neighbouring places, half of it, or the box and its neighbour as one."""
     if kind == "pair":
         return box_surface((0.22 * site + 0.11 + shift_m, 0, 0.1), (0.42, 0.2, 0.2))
@@ -75,7 +69,7 @@ sightings = st.lists(
 )
 
 
-def arrays_of(value: Any) -> list[np.ndarray]:
+def arrays_of(value):
     """Every array within a record, however deep."""
     if isinstance(value, np.ndarray):
         return [value]
@@ -86,19 +80,19 @@ def arrays_of(value: Any) -> list[np.ndarray]:
 
 
 class CoreUnderRandomEvents(RuleBasedStateMachine):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.core = MapperCore(CONFIG)
-        self.events: list[Event] = []
-        self.effects: list[Effect] = []
-        self.published: list[tuple[MapSnapshot, str]] = []
-        self.open: dict[int, int] = {}
-        self.kept: set[str] = set()
-        self.dropped: set[str] = set()
+        self.events = []
+        self.effects = []
+        self.published = []
+        self.open = {}
+        self.kept = set()
+        self.dropped = set()
         self.num_frames = 0
         self.stamp_ns = 0
 
-    def tell(self, event: Event) -> list[Effect]:
+    def tell(self, event):
         effects = self.core.handle(event)
         self.core.validate()
         self.events.append(event)
@@ -107,7 +101,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
             self.note(effect)
         return effects
 
-    def note(self, effect: Effect) -> None:
+    def note(self, effect):
         match effect:
             case KeepView(view=view):
                 assert view.name not in self.kept
@@ -132,13 +126,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         angle_rad=st.floats(0, 6),
         looked_through=st.sampled_from([None, None, 0, 1, 2, 3]),
     )
-    def a_keyframe_comes(
-        self,
-        seen: list[tuple[int, str, float, float, float]],
-        gap_s: float,
-        angle_rad: float,
-        looked_through: int | None,
-    ) -> None:
+    def a_keyframe_comes(self, seen, gap_s, angle_rad, looked_through):
         self.stamp_ns += round(gap_s * SECOND_NS)
         shown = [
             observation(i, points_at(site, kind, shift), r_area=area)
@@ -159,7 +147,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
 
     @precondition(lambda self: self.open)
     @rule(which=st.integers(0, 10), is_ready=st.booleans())
-    def a_shape_job_ends(self, which: int, is_ready: bool) -> None:
+    def a_shape_job_ends(self, which, is_ready):
         ticket = sorted(self.open)[which % len(self.open)]
         object_id = self.open.pop(ticket)
         if is_ready:
@@ -170,7 +158,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
 
     @precondition(lambda self: self.num_frames > 0)
     @rule(to_s=st.sampled_from([0, 10_000]))
-    def the_stamps_jump(self, to_s: int) -> None:
+    def the_stamps_jump(self, to_s):
         before = [tracked.id for tracked in self.core.snapshot().objects]
         self.tell(TimeJumped(from_ns=self.stamp_ns, to_ns=to_s * SECOND_NS))
         self.stamp_ns = to_s * SECOND_NS
@@ -178,7 +166,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
 
     @precondition(lambda self: self.num_frames > 0)
     @rule(by_m=st.sampled_from([0.05, 0.4]))
-    def the_odometry_jumps(self, by_m: float) -> None:
+    def the_odometry_jumps(self, by_m):
         jump = np.eye(4)
         jump[0, 3] = by_m
         before = [tracked.id for tracked in self.core.snapshot().objects]
@@ -186,7 +174,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         assert [tracked.id for tracked in self.core.snapshot().objects] == before
 
     @rule(which=st.integers(0, 10), by_m=st.sampled_from([0.0, 0.3]))
-    def a_submap_is_placed_anew(self, which: int, by_m: float) -> None:
+    def a_submap_is_placed_anew(self, which, by_m):
         place = np.eye(4)
         place[1, 3] = by_m
         submap_id = which % len(self.core.snapshot().submaps)
@@ -197,7 +185,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         assert np.array_equal(published.snapshot.submaps[submap_id].world_from_submap, place)
 
     @rule()
-    def the_core_goes_on_from_its_state(self) -> None:
+    def the_core_goes_on_from_its_state(self):
         before = map_digest(self.core.snapshot())
         self.core = MapperCore.from_state(CONFIG, self.core.state())
         self.core.validate()
@@ -206,7 +194,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
     # ---- what always holds ------------------------------------------------------------------------------------------
 
     @invariant()
-    def ids_are_unique_sorted_and_not_those_that_were_merged(self) -> None:
+    def ids_are_unique_sorted_and_not_those_that_were_merged(self):
         objects = self.core.snapshot().objects
         ids = [tracked.id for tracked in objects]
         assert ids == sorted(set(ids))
@@ -215,7 +203,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         assert not set(ids) & set(merged)
 
     @invariant()
-    def every_view_that_is_referred_to_was_kept_and_not_dropped(self) -> None:
+    def every_view_that_is_referred_to_was_kept_and_not_dropped(self):
         for tracked in self.core.snapshot().objects:
             assert {view.name for view in tracked.views} <= self.kept - self.dropped
             if tracked.best_view is not None:
@@ -223,41 +211,41 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
             assert all(view.object_id == tracked.id for view in tracked.views)
 
     @invariant()
-    def every_kept_view_is_either_needed_or_dropped(self) -> None:
+    def every_kept_view_is_either_needed_or_dropped(self):
         referred = {view.name for tracked in self.core.snapshot().objects for view in tracked.views}
         assert referred <= self.core.view_names()
         assert self.kept - self.dropped == self.core.view_names()
 
     @invariant()
-    def no_more_jobs_are_open_than_allowed_and_only_for_objects_that_are_there(self) -> None:
+    def no_more_jobs_are_open_than_allowed_and_only_for_objects_that_are_there(self):
         assert len(self.open) <= MAX_IN_FLIGHT
         assert set(self.open.values()) <= {tracked.id for tracked in self.core.snapshot().objects}
 
     @invariant()
-    def a_box_contains_most_of_the_points_and_sightings_are_in_order(self) -> None:
+    def a_box_contains_most_of_the_points_and_sightings_are_in_order(self):
         for tracked in self.core.snapshot().objects:
             assert tracked.box.contains(tracked.points_world, 1e-5).mean() >= 0.7
             assert tracked.sightings >= 1
 
     @invariant()
-    def nothing_that_is_shown_can_be_written_to(self) -> None:
+    def nothing_that_is_shown_can_be_written_to(self):
         arrays = arrays_of(self.core.snapshot())
         assert arrays
         assert not any(array.flags.writeable for array in arrays)
 
     @invariant()
-    def memory_is_bounded_by_the_surface(self) -> None:
+    def memory_is_bounded_by_the_surface(self):
         # All that can ever be seen is 1.1 m of a row of boxes: its voxels, once for each object.
         num_cells = (1.2 / VOXEL_M) * (0.24 / VOXEL_M) ** 2
         assert all(len(tracked.points_world) <= num_cells for tracked in self.core.snapshot().objects)
         assert all(len(tracked.views) <= 8 + 1 for tracked in self.core.snapshot().objects)
 
-    def teardown(self) -> None:
+    def teardown(self):
         self.the_end_asks_for_what_is_missing()
         assert all(map_digest(snapshot) == digest for snapshot, digest in self.published)
         self.the_same_events_give_the_same_effects()
 
-    def the_end_asks_for_what_is_missing(self) -> None:
+    def the_end_asks_for_what_is_missing(self):
         self.tell(SourceEnded(stamp_ns=self.stamp_ns))
         self.every_view_that_is_referred_to_was_kept_and_not_dropped()
         self.every_kept_view_is_either_needed_or_dropped()
@@ -267,7 +255,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
             has_or_gets_one = tracked.shape is not None or tracked.id in self.open.values()
             assert has_or_gets_one or failed.count(tracked.id) >= CONFIG.requests.max_failures
 
-    def the_same_events_give_the_same_effects(self) -> None:
+    def the_same_events_give_the_same_effects(self):
         again = MapperCore(CONFIG)
         effects = [effect for event in self.events for effect in again.handle(event)]
         assert told(effects) == told(self.effects)

@@ -1,9 +1,6 @@
-"""Tracks of fixtures: published, with shapes, not given to the segmenter, merged with their pieces alone."""
-
 from dataclasses import replace
 import numpy as np
-from numpy.typing import NDArray
-from hickory_stream.events import Event, Publish, RequestShape, SourceEnded
+from hickory_stream.events import Publish, RequestShape, SourceEnded
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
@@ -22,11 +19,11 @@ BALL = box_surface((0.3, 0.0, 0.1), (0.2, 0.2, 0.2))
 FIXTURE = ObjectKind.FIXTURE
 
 
-def voxels(points: NDArray[np.float32]) -> NDArray[np.int64]:
+def voxels(points):
     return np.unique(keys_of_points(points, CONFIG.voxels.space_m))
 
 
-def seen(i: int, *points: NDArray[np.float32], free: NDArray[np.int64] | None = None) -> Event:
+def seen(i, *points, free=None):
     found = [observation(j, own) for j, own in enumerate(points)]
     shown = replace(
         space(structure=voxels(WALL), free=free, floor_z_m=0.0),
@@ -38,8 +35,7 @@ def seen(i: int, *points: NDArray[np.float32], free: NDArray[np.int64] | None = 
 def test_a_picture_is_published_as_a_fixture_and_gets_a_shape():
     core = MapperCore(CONFIG)
     effects = drive(core, [seen(i, PICTURE, BALL) for i in range(5)] + [SourceEnded(stamp_ns=9_000_000_000)])
-    kinds = {item.id: item.kind for item in core.snapshot().objects}
-    assert kinds == {1: FIXTURE, 2: ObjectKind.OBJECT}
+    assert {item.id: item.kind for item in core.snapshot().objects} == {1: FIXTURE, 2: ObjectKind.OBJECT}
     assert {effect.object_id for effect in effects if isinstance(effect, RequestShape)} == {1, 2}
     said = [d for effect in effects if isinstance(effect, Publish) for d in effect.decisions if d.kind == "kind"]
     # When it becomes a fixture, and both at the end.

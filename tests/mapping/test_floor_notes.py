@@ -1,5 +1,3 @@
-"""What is said of a floor, for floors of structure voxels that are known."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
@@ -9,7 +7,7 @@ from hickory_stream.records import MapSnapshot, ObservedSpace, Submap
 VOXEL_M = 0.05
 
 
-def space_of(points: np.ndarray, floor_z_m: float | None) -> ObservedSpace:
+def space_of(points, floor_z_m):
     return ObservedSpace(
         voxel_m=VOXEL_M,
         free=sorted_unique(keys_of_points(np.array([[0.0, 0.0, 1.0]]), VOXEL_M)),
@@ -18,22 +16,22 @@ def space_of(points: np.ndarray, floor_z_m: float | None) -> ObservedSpace:
     )
 
 
-def plane(tilt_deg: float = 0.0, uphill_deg: float = 0.0, half_m: float = 2.5) -> np.ndarray:
+def plane(tilt_deg=0.0, uphill_deg=0.0, half_m=2.5):
     x, y = np.meshgrid(np.arange(-half_m, half_m, 0.02), np.arange(-half_m, half_m, 0.02))
     along = x * np.cos(np.radians(uphill_deg)) + y * np.sin(np.radians(uphill_deg))
     return np.stack([x, y, np.tan(np.radians(tilt_deg)) * along], axis=-1).reshape(-1, 3)
 
 
-def lifted(by_m: float, half_m: float = 2.5) -> np.ndarray:
+def lifted(by_m, half_m=2.5):
     return plane(half_m=half_m) + np.array([0.0, 0.0, by_m])
 
 
-def wall(x_m: float) -> np.ndarray:
+def wall(x_m):
     y, z = np.meshgrid(np.arange(-2.5, 2.5, 0.02), np.arange(-0.1, 2.4, 0.02))
     return np.stack([np.full(y.shape, x_m), y, z], axis=-1).reshape(-1, 3)
 
 
-def snapshot(*spaces: ObservedSpace, world_from_submap: np.ndarray | None = None) -> MapSnapshot:
+def snapshot(*spaces, world_from_submap=None):
     place = np.eye(4) if world_from_submap is None else world_from_submap
     submaps = tuple(Submap(id=i, world_from_submap=place, observed_space=space) for i, space in enumerate(spaces))
     return MapSnapshot(revision=1, stamp_ns=1, submaps=submaps, objects=())

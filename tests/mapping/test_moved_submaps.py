@@ -1,6 +1,5 @@
 from dataclasses import replace
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.events import PosesCorrected, Publish, SourceEnded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.journal.record_codec import decode, encode
@@ -18,11 +17,11 @@ DRIFT = from_rotation_translation(yaw_rotation(0.2), np.array([0.8, 0.5, 0.0]))
 """Where the odometry has the world when the robot is back: what is at `x` it sees at `DRIFT x`."""
 
 
-def drifted(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def drifted(points):
     return apply(DRIFT, points).astype(np.float32)
 
 
-def out_and_back(*, sees_home: bool) -> MapperCore:
+def out_and_back(*, sees_home):
     """A walk from two boxes to where nothing is, and back to the first one, with odometry that has drifted."""
     core = MapperCore(replace(CONFIG, submaps=SubmapConfig(travel_m=1.5)))
     drive(core, [at(i, 0.2 * i, HOME, LONELY) for i in range(4)])
@@ -32,7 +31,7 @@ def out_and_back(*, sees_home: bool) -> MapperCore:
     return core
 
 
-def placed(core: MapperCore) -> PosesCorrected:
+def placed(core):
     """The last submap where it lies in truth, the others where they were."""
     ids = tuple(submap.id for submap in core.snapshot().submaps)
     places = np.array([np.eye(4)] * (len(ids) - 1) + [invert(DRIFT)])
@@ -88,8 +87,7 @@ def test_an_object_in_a_moved_submap_is_recognised_there():
 
 
 def test_without_a_correction_the_way_back_makes_a_second_object():
-    core = out_and_back(sees_home=True)
-    assert len(core.snapshot().objects) == 3
+    assert len(out_and_back(sees_home=True).snapshot().objects) == 3
 
 
 def test_what_lies_elsewhere_takes_no_part_where_it_was():
@@ -97,8 +95,7 @@ def test_what_lies_elsewhere_takes_no_part_where_it_was():
     core.handle(placed(core))
     drive(core, [at(12 + i, 0.1 * i, LONELY) for i in range(3)])
     core.validate()
-    lonely = next(item for item in core.snapshot().objects if item.id == 2)
-    assert lonely.sightings == 4
+    assert next(item for item in core.snapshot().objects if item.id == 2).sightings == 4
     assert len(core.snapshot().objects) == 3
 
 
@@ -122,8 +119,7 @@ def test_a_core_goes_on_from_its_state_with_what_lies_elsewhere():
 
 
 def test_a_track_that_is_moved_is_the_same_seen_from_there():
-    core = out_and_back(sees_home=False)
-    tracks: dict = core.state()["tracks"]  # type: ignore[assignment, type-arg]
+    tracks = out_and_back(sees_home=False).state()["tracks"]
     track = tracks[1]
     moved = moved_track(track, DRIFT, VOXEL_M)
     assert np.allclose(moved.box.center, apply(DRIFT, track.box.center[None])[0], atol=VOXEL_M)

@@ -60,8 +60,7 @@ def test_every_object_knows_where_it_came_from(three):
     # Object 5 of the first map is object 1 of the second; both missing in the third.
     assert merged.provenance[5] == ((0, 5), (1, 1))
     assert sorted(merged.provenance) == [tracked.id for tracked in merged.snapshot.objects]
-    both = next(tracked for tracked in merged.snapshot.objects if tracked.id == 5)
-    assert both.sightings == 10
+    assert next(tracked for tracked in merged.snapshot.objects if tracked.id == 5).sightings == 10
 
 
 def test_the_inputs_and_observed_space_are_not_changed(three):

@@ -77,8 +77,7 @@ def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed):
     assert len(scene.rows()) == 12
     starts = points[:400]
     ends = starts + rng.normal(size=starts.shape)
-    ways = [one.sweep(starts, ends, radius_m=0.1) for one in (scene, scene_of(second))]
-    assert np.array_equal(*ways)
+    assert np.array_equal(*[one.sweep(starts, ends, radius_m=0.1) for one in (scene, scene_of(second))])
 
 
 @settings(max_examples=4, deadline=None)
@@ -181,8 +180,7 @@ def test_generated_surface_is_a_hit_unless_the_caller_decides():
 
 
 def test_a_box_for_leftovers_counts_as_seen():
-    left_out = joined([one((0.5, 0.5, 0.5)), one((0.2, 0.2, 0.2), (2.0, 0, 0))])
-    item = tracked(1, left_out)
+    item = tracked(1, joined([one((0.5, 0.5, 0.5)), one((0.2, 0.2, 0.2), (2.0, 0, 0))]))
     generated = replace(item.shape, seen_share=np.array([0.1]))
     points = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     scene = ClearanceScene.of([replace(item, shape=generated)])

@@ -65,8 +65,7 @@ def test_what_is_not_finite_is_refused_by_name():
 @settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_the_distance_field_never_promises_too_much(seed):
-    rng = np.random.default_rng(seed)
-    blocked = rng.random((30, 40)) < 0.02
+    blocked = np.random.default_rng(seed).random((30, 40)) < 0.02
     found = distance_field_m(blocked, 0.05)
     if not blocked.any():
         assert np.isinf(found).all()
@@ -155,8 +154,7 @@ def test_a_tilting_correction_does_not_add_walls():
     level, band = snapshot().submaps[0], Band(low_m=0.05, high_m=0.6)
 
     def tilted(rad):
-        turn = trimesh.transformations.rotation_matrix(rad, (1, 0, 0))
-        return replace(level, world_from_submap=turn)
+        return replace(level, world_from_submap=trimesh.transformations.rotation_matrix(rad, (1, 0, 0)))
 
     few = len(wall_hulls(level, band, 0.0))
     assert len(wall_hulls(tilted(0.002), band, 0.0)) == few

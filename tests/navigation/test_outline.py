@@ -22,8 +22,7 @@ def cells_of(corners, starts, origin=(-0.6, -0.6)):
 
 def body_points(rng, part, count):
     """Points (count, 3) of a body around its middle: of the hull of its corners, with disc and ball."""
-    weights = rng.dirichlet(np.full(len(part.corners_m), 0.3), count)
-    flat = weights @ part.corners_m
+    flat = rng.dirichlet(np.full(len(part.corners_m), 0.3), count) @ part.corners_m
     angle, radius = rng.uniform(0, 2 * np.pi, count), part.disc_m * np.sqrt(rng.random(count))
     flat = flat + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     heights = rng.uniform(part.low_m, part.high_m, count)
@@ -60,8 +59,7 @@ def test_a_body_whose_cell_is_free_touches_nothing(seed, part):
 @settings(max_examples=3)
 @given(st.integers(0, 10_000))
 def test_a_cell_is_occupied_within_tolerance_of_its_cylinder(seed):
-    rng = np.random.default_rng(seed)
-    primitives = random_primitives(rng, 8)
+    primitives = random_primitives(np.random.default_rng(seed), 8)
     part = Part(low_m=1.5, high_m=2.2, disc_m=0.1)
     occupied = np.argwhere(cells_of(*outlines_of_rows(rows_of(primitives), part)))
     scene = ClearanceScene()

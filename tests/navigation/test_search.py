@@ -64,8 +64,7 @@ def test_every_planner_finds_a_free_path_through_the_door(space, room, planner):
     # Through the door, near (3, 1.5): no shorter than by way of it.
     direct = np.linalg.norm(START - [3.0, 1.6]) + np.linalg.norm(GOAL - [3.0, 1.6])
     assert direct - 0.1 < path.length_m < direct + 0.25
-    again = answer_of(space, planner=planner)
-    assert np.array_equal(again.points, path.points)
+    assert np.array_equal(answer_of(space, planner=planner).points, path.points)
 
 
 def test_a_path_ducks_under_the_table_where_the_body_fits(room):
@@ -99,8 +98,7 @@ def test_a_long_robot_turns_to_pass_the_door_and_touches_nothing(room):
     through = [(a, b) for a, b in itertools.pairwise(path.points) if min(a[0], b[0]) <= 3.0 <= max(a[0], b[0])]
     assert len(through) == 1
     narrow = free_space_of(snapshot(space=seen_room(door_m=(1.8, 2.15))), robot, cell_m=0.05)
-    refused = answer_of(narrow)
-    assert refused.reason is NoPathReason.UNREACHABLE
+    assert answer_of(narrow).reason is NoPathReason.UNREACHABLE
 
 
 def test_every_reason_for_no_path_is_told_apart(space, room):
@@ -140,8 +138,7 @@ def test_an_object_without_layer_4_is_avoided_by_its_box(room):
     bare = replace(room, objects=(tracked(1, table(), with_shape=False),))
     assert without_layer_four(bare) == [1]
     assert without_layer_four(room) == []
-    under = answer_of(free_space_of(bare, POINT), goal=TABLE_AT)
-    assert under.reason is NoPathReason.GOAL_IN_COLLISION
+    assert answer_of(free_space_of(bare, POINT), goal=TABLE_AT).reason is NoPathReason.GOAL_IN_COLLISION
     hardly_seen = replace(bare, objects=(replace(bare.objects[0], phase=Phase.TENTATIVE),))
     assert isinstance(answer_of(free_space_of(hardly_seen, POINT), goal=TABLE_AT), Path)
 

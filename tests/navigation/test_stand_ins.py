@@ -25,8 +25,7 @@ NOTHING = np.empty(0, np.int64)
 
 def crate(phase=Phase.TENTATIVE, *, with_shape=False):
     """A crate of 0.6 m at (4.5, 1), seen so far from its box's sides."""
-    made = tracked(2, boxes(((*CRATE_AT, 0.3), (0.3, 0.3, 0.3))), with_shape=with_shape)
-    return replace(made, phase=phase)
+    return replace(tracked(2, boxes(((*CRATE_AT, 0.3), (0.3, 0.3, 0.3))), with_shape=with_shape), phase=phase)
 
 
 def surface(*, surface_cells=None, free_cells=None):
@@ -62,8 +61,7 @@ def held_share(body, points):
 )
 @settings(max_examples=40, deadline=None)
 def test_a_stand_in_holds_every_point_with_a_margin(size, power, seed, with_sketch):
-    rng = np.random.default_rng(seed)
-    rays = rng.normal(size=(400, 3))
+    rays = np.random.default_rng(seed).normal(size=(400, 3))
     rays = np.sign(rays) * np.abs(rays) ** power
     points = (rays / np.linalg.norm(rays, axis=1, keepdims=True) * size + [1.0, 2.0, 0.5]).astype(np.float32)
     # Seen from one side only.
@@ -97,14 +95,12 @@ def test_a_lamp_is_no_pillar():
 
 
 def test_the_inside_of_a_half_seen_thing_stays_inside():
-    corner = points_of(((0, 0, 0), (0.6, 0.0, 0.6)), ((0, 0, 0), (0.0, 0.6, 0.6)))
-    body = stand_in_of(seen_as(corner))
+    body = stand_in_of(seen_as(points_of(((0, 0, 0), (0.6, 0.0, 0.6)), ((0, 0, 0), (0.0, 0.6, 0.6)))))
     assert held_share(body, points_of(((0.2, 0.2, 0.1), (0.3, 0.3, 0.5)))) == 1.0
 
 
 def test_a_stand_in_takes_the_smaller_of_box_and_sketch():
-    rng = np.random.default_rng(0)
-    rays = rng.normal(size=(2000, 3))
+    rays = np.random.default_rng(0).normal(size=(2000, 3))
     ball = (rays / np.linalg.norm(rays, axis=1, keepdims=True) * 0.3 + [4.5, 1.0, 0.3]).astype(np.float32)
     thing = replace(crate(), points_world=ball, colors=np.zeros((len(ball), 3), np.uint8))
     boxed = stand_in_of(thing)
@@ -195,16 +191,14 @@ def test_the_floor_and_what_is_above_the_robot_do_not_block():
     seen, empty = SeenSurface(), snapshot()
     floor = cells_of_crate() * [1, 1, 0]
     seen.add(surface(surface_cells=np.concatenate([floor, floor + np.array([0, 0, 38])])), empty)
-    low = load_robot("jackal")
-    assert state_at(Costmap(low, cell_m=0.05, seen=seen), empty, CRATE_AT) == Cell.FREE
+    assert state_at(Costmap(load_robot("jackal"), cell_m=0.05, seen=seen), empty, CRATE_AT) == Cell.FREE
 
 
 def test_surface_of_an_object_with_layer_four_blocks_once():
     seen = SeenSurface()
     finished = snapshot(crate(Phase.ACTIVE, with_shape=True))
     seen.add(surface(surface_cells=cells_of_crate()), finished)
-    space = free_space_of(finished, ROBOT, seen=seen)
-    assert len(space.hulls[SEEN_SURFACE]) == 0
+    assert len(free_space_of(finished, ROBOT, seen=seen).hulls[SEEN_SURFACE]) == 0
 
 
 def test_surface_stays_with_its_submap_when_that_is_placed_anew():

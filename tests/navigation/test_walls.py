@@ -93,8 +93,7 @@ def test_structure_within_an_object_is_no_wall():
 
 def test_an_unseen_crack_is_filled_and_a_free_one_stays_open():
     crack = block((70, 65, 1), (100, 66, 18))
-    counter = np.concatenate([block((70, 60, 1), (100, 65, 18)), block((70, 66, 1), (100, 71, 18))])
-    submap = room_with(counter)
+    submap = room_with(np.concatenate([block((70, 60, 1), (100, 65, 18)), block((70, 66, 1), (100, 71, 18))]))
     dark = replace(submap.observed_space, free=np.setdiff1d(submap.observed_space.free, keys_of_cells(crack)))
     middle = {tuple(cell) for cell in block((75, 65, 3), (95, 66, 15)).tolist()}
     assert not middle & cells_in(wall_boxes([submap], BAND, 0.0))

@@ -1,13 +1,11 @@
 """A graph of eight-bit convolutions run with NumPy's integers: what is exact here must come out of onnxruntime."""
 
-from pathlib import Path
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 from onnx import numpy_helper
 
 
-def run_in_integers(path: Path, inputs: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def run_in_integers(path, inputs):
     """Return the output of a graph of QLinearConv, Resize by two and Concat for (1, C, H, W) bytes."""
     graph = onnx.load(path).graph
     values = {c.name: numpy_helper.to_array(c) for c in graph.initializer}
@@ -26,7 +24,7 @@ def run_in_integers(path: Path, inputs: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return values[graph.output[0].name]
 
 
-def _convolved(given, stride: int, pad: int) -> NDArray[np.uint8]:
+def _convolved(given, stride, pad):
     x, x_scale, x_zero, w, w_scales, w_zeros, y_scale, y_zero, bias = given
     assert not w_zeros.any()
     around = [(0, 0), (0, 0), (pad, pad), (pad, pad)]

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
 
@@ -17,7 +16,7 @@ class Block:
     high: tuple[float, float, float]
     color: tuple[int, int, int]
 
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    def depths(self, origin, rays):
         with np.errstate(divide="ignore", invalid="ignore"):
             a, b = (np.array(self.low) - origin) / rays, (np.array(self.high) - origin) / rays
         enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
@@ -33,7 +32,7 @@ class Cylinder:
     height: float
     color: tuple[int, int, int]
 
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    def depths(self, origin, rays):
         start = origin - np.array(self.foot)
         a, b = (rays[..., :2] ** 2).sum(-1), rays[..., :2] @ start[:2]
         root = b**2 - a * (start[:2] @ start[:2] - self.radius**2)
@@ -47,11 +46,11 @@ class Cylinder:
         return np.minimum(side, top)
 
 
-def floor(color: tuple[int, int, int] = (120, 110, 100)) -> Block:
+def floor(color=(120, 110, 100)):
     return Block(low=(-20.0, -20.0, -1.0), high=(20.0, 20.0, 0.0), color=color)
 
 
-def looking(at: tuple[float, float, float], *, start: tuple[float, float, float]) -> NDArray[np.float64]:
+def looking(at, *, start):
     """Return world_from_camera of a camera at `start` that looks at a point, its x axis level."""
     forward = np.array(at) - np.array(start)
     forward /= np.linalg.norm(forward)
@@ -63,9 +62,7 @@ def looking(at: tuple[float, float, float], *, start: tuple[float, float, float]
     return world_from_camera
 
 
-def render(
-    things: list[Block | Cylinder], world_from_camera: NDArray[np.float64], camera: Camera = CAMERA
-) -> tuple[Frame, NDArray[np.int64]]:
+def render(things, world_from_camera, camera=CAMERA):
     """Return the frame and, per pixel, the index of the thing that it shows; -1 where there is nothing."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
@@ -82,7 +79,7 @@ def render(
     return frame, shown
 
 
-def best_iou(instances: NDArray[np.int32], mask: NDArray[np.bool_]) -> tuple[float, int]:
+def best_iou(instances, mask):
     """Return the best IoU of a mask with an instance, and the instance's label."""
     best = (0.0, 0)
     for label in np.unique(instances[mask]):

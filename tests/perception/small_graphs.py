@@ -1,6 +1,5 @@
 """Small ONNX graphs with the inputs and outputs of the real networks, that compute what a test can know beforehand."""
 
-from pathlib import Path
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
@@ -8,7 +7,7 @@ from onnx import TensorProto, helper, numpy_helper
 OPSET = 18
 
 
-def save(path: Path, nodes, outputs, *, constants=(), image=(1, 3, None, None), inputs=(), opset=OPSET) -> Path:
+def save(path, nodes, outputs, *, constants=(), image=(1, 3, None, None), inputs=(), opset=OPSET):
     """Write a graph that takes `image`, or `inputs` (name, shape); `outputs` are (name, element type, shape)."""
     graph = helper.make_graph(
         nodes,
@@ -17,8 +16,7 @@ def save(path: Path, nodes, outputs, *, constants=(), image=(1, 3, None, None), 
         [helper.make_tensor_value_info(*output) for output in outputs],
         [numpy_helper.from_array(np.asarray(value), name) for name, value in constants],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10)
-    onnx.save(model, str(path))
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10), str(path))
     return path
 
 
@@ -32,7 +30,7 @@ def anything(*names):
     ]
 
 
-def yolo(path: Path, boxes, *, prototypes, scores, coefficients, side=64, **options) -> Path:
+def yolo(path, boxes, *, prototypes, scores, coefficients, side=64, **options):
     """A YOLOv8-seg graph that finds the same whatever it sees: boxes (N, 4) x, y, w, h, scores (N, classes)."""
     predictions = np.concatenate([boxes, scores, coefficients], axis=1).T[None].astype(np.float32)
     return save(
@@ -48,7 +46,7 @@ def yolo(path: Path, boxes, *, prototypes, scores, coefficients, side=64, **opti
     )
 
 
-def dino(path: Path, patch=14, extra=1, image=(1, 3, None, None)) -> Path:
+def dino(path, patch=14, extra=1, image=(1, 3, None, None)):
     """A graph of tokens: the mean colour of each patch after `extra` tokens of ones."""
     nodes = [
         helper.make_node("AveragePool", ["image"], ["pooled"], kernel_shape=[patch, patch], strides=[patch, patch]),
@@ -60,13 +58,13 @@ def dino(path: Path, patch=14, extra=1, image=(1, 3, None, None)) -> Path:
     return save(path, nodes, [("tokens", TensorProto.FLOAT, (1, None, 3))], constants=constants, image=image)
 
 
-def scores_by_color(path: Path, image=(1, 3, None, None)) -> Path:
+def scores_by_color(path, image=(1, 3, None, None)):
     """A semantic graph of three classes, whose scores are the red, green and blue of the image."""
     node = helper.make_node("AveragePool", ["image"], ["scores"], kernel_shape=[4, 4], strides=[4, 4])
     return save(path, [node], [("scores", TensorProto.FLOAT, (1, 3, None, None))], image=image)
 
 
-def queries(path: Path, class_logits, mask_logits) -> Path:
+def queries(path, class_logits, mask_logits):
     """A OneFormer graph with the same queries whatever it sees."""
     return save(
         path,
@@ -79,7 +77,7 @@ def queries(path: Path, class_logits, mask_logits) -> Path:
     )
 
 
-def sam_pair(folder: Path, *, version=1, radii=(2, 4, 8), ious=(0.95, 0.9, 0.5), low=16, batched=True) -> Path:
+def sam_pair(folder, *, version=1, radii=(2, 4, 8), ious=(0.95, 0.9, 0.5), low=16, batched=True):
     """Graphs of the SAM family whose masks are discs of `radii` (cells of `low`) around each prompt; side 4 * low."""
     folder.mkdir(exist_ok=True)
     num, side = None if batched else 1, 4 * low

@@ -1,7 +1,6 @@
 """A small image-text pair in the files of a published one: what it knows of a picture is its mean colour."""
 
 import json
-from pathlib import Path
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
@@ -22,7 +21,7 @@ PREPROCESSING = {
 }  # fmt: skip
 
 
-def write_pair(folder: Path, *, length: int | None = None, with_mask: bool = True, output: str = "embeds") -> Path:
+def write_pair(folder, *, length=None, with_mask=True, output="embeds"):
     """Write the files of a pair; `length` is how many tokens the text graph takes, None: any."""
     folder.mkdir(parents=True, exist_ok=True)
     _save(
@@ -55,7 +54,7 @@ def write_pair(folder: Path, *, length: int | None = None, with_mask: bool = Tru
     return folder
 
 
-def _save(path, nodes, inputs, output, constants) -> None:
+def _save(path, nodes, inputs, output, constants):
     made = [numpy_helper.from_array(value, name) for name, value in constants.items()]
     graph = helper.make_graph(nodes, "small", inputs, [output], made)
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10), str(path))

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from hickory_stream.perception.fragments.color_split import _histogram, split_by_color
 from hickory_stream.perception.masks import label_boxes
 from hickory_stream.perception.surface import lab_of
@@ -11,18 +10,17 @@ from tests.strategies import seeds
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
 
 
-def checks(height: int, width: int, one: tuple[int, int, int], side: int = 2) -> NDArray[np.uint8]:
+def checks(height, width, one, side=2):
     v, u = np.mgrid[:height, :width] // side
     return np.where(((u + v) % 2 == 0)[..., None], one, WHITE).astype(np.uint8)
 
 
-def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], depth: int = 2) -> NDArray[np.int32]:
+def divided(rgb, labels, depth=2):
     return split_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), depth)
 
 
 def test_two_patterned_boxes_that_are_flush_are_two():
-    rgb = np.concatenate([checks(30, 40, RED), checks(30, 40, ORANGE)])
-    out = divided(rgb, np.ones((60, 40), dtype=np.int32))
+    out = divided(np.concatenate([checks(30, 40, RED), checks(30, 40, ORANGE)]), np.ones((60, 40), dtype=np.int32))
     assert set(np.unique(out)) == {1, 2}
     top, bottom = out[:25].ravel(), out[35:].ravel()
     assert (top == top[0]).all()

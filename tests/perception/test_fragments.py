@@ -1,5 +1,3 @@
-"""Supporting planes against a labelling of connected regions by SciPy."""
-
 import numpy as np
 from hypothesis import given
 from scipy.ndimage import label

@@ -111,8 +111,7 @@ def test_free_voxels_hold_no_return_and_structure_is_the_floor(height, aim):
     u, v = np.meshgrid(np.arange(0, CAMERA.width, 3), np.arange(0, CAMERA.height, 3))
     z = frame.depth_m[::3, ::3].astype(np.float64)
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
-    points = (rays * z[..., None])[z < 5.0]
-    world = points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
+    world = (rays * z[..., None])[z < 5.0] @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
     assert not contains(space.free_keys, keys_of_points(world, lattice.space_m)).any()
     assert (np.diff(space.free_keys) > 0).all()
     assert (np.diff(space.structure_keys) > 0).all()
@@ -152,8 +151,7 @@ def can_at(distance_m):
     rgb, depth_m, shown = cast_scene([can, wall], ZED, pose)
     config = DepthCameraConfig(dropout_share=0.0)
     noisy = sensed_depth(depth_m, np.ones_like(depth_m), ZED.fx, config, np.random.default_rng(3))
-    frame = Frame(index=0, stamp_ns=0, rgb=rgb, depth_m=noisy, camera=ZED, world_from_camera=pose)
-    return frame, shown == 1
+    return Frame(index=0, stamp_ns=0, rgb=rgb, depth_m=noisy, camera=ZED, world_from_camera=pose), shown == 1
 
 
 @pytest.mark.parametrize("distance_m", [1.0, 2.0, 3.0, 4.0])

@@ -1,5 +1,3 @@
-"""What a person walking through leaves behind: nothing, once the place where one stood is looked through."""
-
 import numpy as np
 from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish, RequestShape, ShapeFailed
 from hickory_stream.geometry.camera import Camera
@@ -34,8 +32,7 @@ def played(steps):
     snapshot, snapshots = None, []
     for i, place in enumerate(steps):
         view = looking((0.4, 0.0, 0.6), start=(-2.4, -0.3 + 0.02 * (i % 10), 1.5))
-        things = [floor(), WALL, BOX, *(person_at(*place) if place else ())]
-        shot, _ = render(things, view, SMALL)
+        shot, _ = render([floor(), WALL, BOX, *(person_at(*place) if place else ())], view, SMALL)
         noise = np.random.default_rng(i).normal(0.0, 0.0015, shot.depth_m.shape) * shot.depth_m**2
         frame = Frame(
             index=i, stamp_ns=int(i * PERIOD_S * 1e9), rgb=shot.rgb, depth_m=(shot.depth_m + noise).astype(np.float32),
@@ -94,6 +91,5 @@ def test_a_person_is_forgotten_once_the_place_is_seen_through():
 
 def test_a_person_who_walks_through_leaves_nothing_behind():
     after = played([None, *[(0.0, y) for y in np.arange(-1.2, 0.2, 0.15)], *[None] * 6])[-1]
-    confirmed = [tracked for tracked in after.objects if tracked.phase is not Phase.TENTATIVE]
-    assert len(confirmed) == 1
+    assert len([tracked for tracked in after.objects if tracked.phase is not Phase.TENTATIVE]) == 1
     assert len(objects_near(after, 0.3, 0.55)) == 1

@@ -28,8 +28,7 @@ def test_a_box_on_a_floor_is_one_instance():
 
 def test_known_structure_is_structure_and_no_new_evidence():
     frame, shown = render([floor(), Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=RED)], VIEW)
-    pixels = np.argwhere(shown == 1)
-    v, u = pixels.T
+    v, u = np.argwhere(shown == 1).T
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(len(u))], axis=1)
     points = apply(frame.world_from_camera, rays * frame.depth_m[v, u][:, None].astype(np.float64))
     keys = np.unique(keys_of_points(points, 0.05))

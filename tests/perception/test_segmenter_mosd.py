@@ -1,5 +1,3 @@
-"""The segmenter on real, labelled clouds of things on a table: boxes behind boxes, a box on a box, bowls and tins."""
-
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
 from tools.evaluation.masks.scores import total
 

@@ -6,7 +6,7 @@ from hickory_stream.perception.space import _free_keys
 from tests.strategies import seeds
 
 
-def walked(origin: np.ndarray, ends: np.ndarray, returns: np.ndarray, voxel_m: float) -> np.ndarray:
+def walked(origin, ends, returns, voxel_m):
     cells = [np.empty((0, 3), dtype=np.int64)]
     for end in ends:
         ray = (end - origin) / voxel_m
@@ -23,8 +23,7 @@ def test_free_voxels_are_those_that_a_walk_along_the_rays_meets(seed, count, vox
     origin = rng.uniform(-3, 3, 3)
     ends = origin + rng.uniform(-reach_m, reach_m, (count, 3))
     returns = origin + rng.uniform(-1.5 * reach_m, 1.5 * reach_m, (300, 3))
-    free = _free_keys(origin, ends, returns, voxel_m)
-    assert np.array_equal(free, walked(origin, ends, returns, voxel_m))
+    assert np.array_equal(_free_keys(origin, ends, returns, voxel_m), walked(origin, ends, returns, voxel_m))
 
 
 def test_no_ray_frees_nothing():

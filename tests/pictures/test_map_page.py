@@ -1,5 +1,3 @@
-"""The page of a map: one file with all layers, without a network; a browser shows it in `tests/interop`."""
-
 import base64
 import gzip
 import io

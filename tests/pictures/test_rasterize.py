@@ -49,8 +49,7 @@ def test_an_image_on_a_surface_shows_where_nothing_hides_it():
         vertices=vertices, faces=[[0, 1, 2], [0, 2, 3]], colors=np.zeros((4, 3), np.uint8), owner=1, uv=uv, image=image
     )
     dot = Dots(points=[[-0.5, 0.5, 0.5]], colors=np.uint8([[0, 255, 0]]), half_m=0.2, owner=2)
-    viewpoint = from_above(CORNERS, 40, 40, 0)
-    (hits,) = first_hits([floor], [dot], viewpoint)
+    (hits,) = first_hits([floor], [dot], from_above(CORNERS, 40, 40, 0))
     colors, owners = hits.colors.reshape(40, 40, 3), hits.owners.reshape(40, 40)
     assert colors[35, 5] == pytest.approx((1, 0, 0))
     assert colors[35, 35] == pytest.approx((0, 0, 0))

@@ -20,8 +20,7 @@ def rays_at(center, count):
 def test_both_casters_see_the_same():
     rays = rays_at(np.array([0.5, 0, 0]), 5000)
     found = []
-    names = ("embreex", "open3d")
-    for name in names:
+    for name in ("embreex", "open3d"):
         caster = ray_caster(name)
         for mesh in (trimesh.creation.icosphere(3), trimesh.creation.box((0.6, 0.8, 1.0))):
             shift = np.array([1.0, 0, 0]) if len(mesh.faces) == 12 else np.zeros(3)
@@ -48,8 +47,7 @@ def test_without_open3d_pictures_are_drawn_and_measures_refused(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "open3d" else find_spec(name))
     monkeypatch.delitem(sys.modules, "open3d.pybind", raising=False)
     box = trimesh.creation.box((1, 1, 1))
-    surface = Surface(vertices=box.vertices, faces=box.faces, colors=np.zeros((8, 3), np.uint8), owner=4)
-    scene = Scene([surface])
+    scene = Scene([Surface(vertices=box.vertices, faces=box.faces, colors=np.zeros((8, 3), np.uint8), owner=4)])
     hits = scene.cast(np.array([[0.1, 0.2, 3.0]]), np.array([[0, 0, -1.0]]))
     assert hits.distance_m == pytest.approx([2.5])
     assert hits.owners.tolist() == [4]

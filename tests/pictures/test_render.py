@@ -115,8 +115,7 @@ def test_a_mesh_below_a_pixel_is_lit_with_few_triangles():
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     colors = np.full((len(sphere.vertices), 3), 128, np.uint8)
     fine = Surface(vertices=sphere.vertices + 0.3, faces=sphere.faces, colors=colors, owner=7)
-    far = from_above(np.array([[-50.0, -50, 0], [50, 50, 1]]), 200, 200, 0)
-    few = coarse(fine, far)
+    few = coarse(fine, from_above(np.array([[-50.0, -50, 0], [50, 50, 1]]), 200, 200, 0))
     assert 0 < len(few.faces) < len(fine.faces) / 10
     assert np.allclose(few.vertices.mean(axis=0), 0.3, atol=0.02)
 

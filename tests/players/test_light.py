@@ -1,5 +1,3 @@
-"""Whether colour has anything to say."""
-
 import numpy as np
 from players.doctor.image_brightness import brightness_of, median_brightness
 

@@ -1,5 +1,3 @@
-"""Depth, images and poses that do not fit: refused by every run of a log, told once by a live one."""
-
 import logging
 import re
 import pytest

@@ -1,5 +1,3 @@
-"""Poses, depth and colour of the embedded recording that do not fit each other: named, mended, refused by `play`."""
-
 import re
 from functools import cache
 from itertools import pairwise
@@ -94,8 +92,7 @@ def another_robot(rows):
 
 
 def late_depth(rows):
-    images = of(rows, DEPTH)
-    for image, after in pairwise(images):
+    for image, after in pairwise(of(rows, DEPTH)):
         image.message.data = after.message.data
 
 

@@ -1,5 +1,3 @@
-"""A camera that sits elsewhere than the profile assumes: `doctor` says so, and `play` maps through the estimate."""
-
 import json
 import numpy as np
 import pytest

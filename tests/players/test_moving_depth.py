@@ -1,5 +1,3 @@
-"""Depth of a camera of its own, taken a little later than colour: the way between the two counts."""
-
 from dataclasses import replace
 import numpy as np
 import pytest

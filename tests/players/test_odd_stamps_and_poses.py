@@ -1,5 +1,3 @@
-"""Bad inputs that real logs contain: each with what is said, and where its messages end in the ledger."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -15,9 +13,7 @@ IMAGES = (scenes.PNG_COLOR, scenes.PNG_DEPTH)
 
 
 def _open(path, messages, **options):
-    log = scenes.write_mcap(path / "log.mcap", M, messages)
-    source = open_source(log, SourceOptions(**options))
-    return source
+    return open_source(scenes.write_mcap(path / "log.mcap", M, messages), SourceOptions(**options))
 
 
 def _played(source):
@@ -73,8 +69,7 @@ def test_a_log_that_was_played_in_a_loop_is_played_whole(tmp_path):
     spread = [replace(m, message=m.message) for m in LOG]
     shift = 4 * S  # the log must be longer than what counts as merely late
     first = [_restamped(m, m.stamp_ns + shift) if m.topic in (*IMAGES, "/odom") else m for m in spread]
-    source = _open(tmp_path, [*first, *again])
-    frames, ledger, _ = _played(source)
+    frames, ledger, _ = _played(_open(tmp_path, [*first, *again]))
     stamps = [frame.stamp_ns for frame in frames]
     assert len(frames) == 2 * len(TRUTH)
     assert stamps[: len(TRUTH)] == [t.stamp_ns + shift for t in TRUTH]
@@ -135,8 +130,7 @@ def test_a_changed_calibration_is_counted_and_the_first_is_kept(tmp_path):
         else m
         for m in LOG
     ]
-    source = _open(tmp_path, messages)
-    frames, ledger, _ = _played(source)
+    frames, ledger, _ = _played(_open(tmp_path, messages))
     assert ledger["camera_info_changed"] >= 1
     assert {frame.camera for frame in frames} == {scenes.CAMERA}
 

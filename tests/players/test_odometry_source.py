@@ -98,8 +98,7 @@ def test_an_unregistered_frame_is_left_out_and_counted(caplog):
                 yield replace(raw, decode=lambda frame=frame: frame)
 
     source = OdometrySource(FirstFrames(Carried(open_source(DEMO)), 10), "depth")
-    frames = list(source.frames())
-    assert [frame.index for frame in frames] == list(range(8))
+    assert [frame.index for frame in list(source.frames())] == list(range(8))
     assert source.ledger()["odometry_lost"] == 2
     assert caplog.text.count("is lost at") == 1
     assert caplog.text.count("goes on at") == 1
@@ -227,8 +226,7 @@ def test_a_stopped_odometry_run_resumes_to_the_same_map(tmp_path):
 
     whole = asyncio.run(run("whole"))
     assert whole.processor, "odometry rounds as its processor does"
-    stopped = asyncio.run(run("stopped", stops_at=4))
-    assert not stopped.finished_cleanly
+    assert not asyncio.run(run("stopped", stops_at=4)).finished_cleanly
     assert asyncio.run(run("stopped", resumes=True)).digest == whole.digest
     assert main(["replay", str(tmp_path / "stopped"), "--json"]) == 0
 

@@ -1,5 +1,3 @@
-"""Frames without a pose: a warning with their share while the camera moves, a note while it stands."""
-
 import numpy as np
 import pytest
 from players import open_source

@@ -30,8 +30,7 @@ def test_a_track_returns_its_poses_at_their_stamps(entries):
 
 @given(tracks, st.integers(0, 5000))
 def test_an_interpolated_pose_is_rigid_and_between_neighbours(entries, ms):
-    track = _track(entries)
-    pose = track.at(ms * MS)
+    pose = _track(entries).at(ms * MS)
     stamps = sorted(stamp for stamp, _ in entries)
     if pose is None:
         assert ms < stamps[0] or ms > stamps[-1]
@@ -59,14 +58,12 @@ def test_the_order_of_the_poses_does_not_matter(entries, random, ms):
 @given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.integers(1, 99))
 def test_rotation_turns_at_a_constant_rate_between_two_poses(first, second, ms):
     pose = _track([(0, _yaw_row(0.0, first)), (100, _yaw_row(2.0, second))]).at(ms * MS)
-    expected = yaw_rotation(first + (second - first) * ms / 100)
-    assert rotation_angle_rad(expected.T @ pose[:3, :3]) < 1e-7
+    assert rotation_angle_rad(yaw_rotation(first + (second - first) * ms / 100).T @ pose[:3, :3]) < 1e-7
     np.testing.assert_allclose(pose[:3, 3], [2.0 * ms / 100, 0, 0], atol=1e-12)
 
 
 def test_poses_are_not_interpolated_over_a_gap_that_is_too_wide():
-    track = _track([(0, _yaw_row(0, 0)), (600, _yaw_row(1, 0))], gap_ms=500)
-    assert track.at(300 * MS) is None
+    assert _track([(0, _yaw_row(0, 0)), (600, _yaw_row(1, 0))], gap_ms=500).at(300 * MS) is None
 
 
 def test_poses_are_held_briefly_and_never_extrapolated():

@@ -1,5 +1,3 @@
-"""The sensors of the profiles, against what their makers and the literature say of the cameras."""
-
 import numpy as np
 import pytest
 from players.profile import load_profile, profile_names

@@ -15,8 +15,7 @@ def _static(parent, child, parent_from_child):
 
 
 def _at(tree, target, source, stamp_ns=0):
-    chain = tree.chain(target, source)
-    pose = chain.at(stamp_ns)
+    pose = tree.chain(target, source).at(stamp_ns)
     assert pose is not None
     return pose
 

@@ -1,14 +1,12 @@
 """A furnished room as a camera with noise sees it, and odometry of it that drifts: what tests of registration share."""
 
-from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
 import numpy as np
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
-from hickory_stream.poses.surface_image import SurfaceImage, surface_image
+from hickory_stream.poses.surface_image import surface_image
 
 CAMERA = Camera(width=160, height=120, fx=87.0, fy=87.0, cx=79.5, cy=59.5)
 SPREAD_PER_M = 0.0012
@@ -27,19 +25,19 @@ ROOM = (
 EMPTY_WALL = (SceneBox(low=(-30.0, 2.5, -30.0), high=(30.0, 2.6, 30.0), rgb=_GREY),)
 
 
-def true_pose(index: int) -> NDArray[np.float64]:
+def true_pose(index):
     """Return world_from_camera (4, 4) of a keyframe on a circle through the room, looking across it and a bit down."""
     angle = 2 * np.pi * index / 32
     forward = np.array([np.cos(angle + 2.6), np.sin(angle + 2.6), -0.3])
     return _looking(np.array([1.2 * np.cos(angle), 1.2 * np.sin(angle), 1.5]), forward)
 
 
-def wall_pose(index: int) -> NDArray[np.float64]:
+def wall_pose(index):
     """Return world_from_camera (4, 4) of a keyframe on a way along a wall that fills the view."""
     return _looking(np.array([0.15 * index, 0.0, 1.3]), np.array([0.0, 1.0, 0.0]))
 
 
-def drifted(poses: Sequence[NDArray[np.float64]], scale: float = 0.02, yaw_deg: float = 0.1) -> list[NDArray]:
+def drifted(poses, scale=0.02, yaw_deg=0.1):
     """Return poses as odometry has them that errs by a share of the way and by so much of yaw for each step."""
     out = [poses[0]]
     for before, now in pairwise(poses):
@@ -51,7 +49,7 @@ def drifted(poses: Sequence[NDArray[np.float64]], scale: float = 0.02, yaw_deg: 
 
 
 @cache
-def image(index: int, boxes: tuple[SceneBox, ...] = ROOM, seed: int = 0, *, along_wall: bool = False) -> SurfaceImage:
+def image(index, boxes=ROOM, seed=0, *, along_wall=False):
     """Return what a keyframe shows, with the noise of a stereo camera."""
     pose = wall_pose(index) if along_wall else true_pose(index)
     _, depth_m, _ = cast_scene(boxes, CAMERA, pose)
@@ -62,12 +60,12 @@ def image(index: int, boxes: tuple[SceneBox, ...] = ROOM, seed: int = 0, *, alon
     return surface_image(depth_mm, CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
 
 
-def errors_m(poses: Sequence[NDArray[np.float64]], first: int = 0) -> NDArray[np.float64]:
+def errors_m(poses, first=0):
     """Return how far keyframes are from where they truly were."""
     return np.array([np.linalg.norm(pose[:3, 3] - true_pose(first + i)[:3, 3]) for i, pose in enumerate(poses)])
 
 
-def _looking(eye: NDArray[np.float64], forward: NDArray[np.float64]) -> NDArray[np.float64]:
+def _looking(eye, forward):
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

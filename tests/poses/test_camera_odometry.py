@@ -61,6 +61,5 @@ def test_a_lost_camera_finds_its_place_in_its_own_map(picture):
 def test_another_wall_is_no_known_place(picture):
     odometry = CameraOdometry()
     odometry.register(before_wall(0, 0.0, picture))
-    other = before_wall(1, 0.0, picture[::-1, ::-1])
-    found = odometry.register(other)
+    found = odometry.register(before_wall(1, 0.0, picture[::-1, ::-1]))
     assert isinstance(found, NotRegistered) or len(found.degenerate) == 3

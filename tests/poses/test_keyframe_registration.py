@@ -1,8 +1,6 @@
 import re
-from collections.abc import Sequence
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneBox
 from hickory_stream.errors import RangeError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
@@ -34,17 +32,17 @@ TRUE = [true_pose(i) for i in range(NUM_KEYFRAMES)]
 DRIFTED = drifted(TRUE)
 
 
-def walked(odometry: Sequence[NDArray[np.float64]], config: RegistrationConfig = CONFIG) -> list[Placed | KeptOut]:
+def walked(odometry, config=CONFIG):
     registration = KeyframeRegistration(config)
     return [registration.place(image(i), pose) for i, pose in enumerate(odometry)]
 
 
-def poses_of(found: Sequence[Placed | KeptOut]) -> list[NDArray[np.float64]]:
+def poses_of(found):
     return [each.map_from_camera for each in found if isinstance(each, Placed)]
 
 
 @pytest.fixture(scope="module")
-def corrected() -> list[Placed | KeptOut]:
+def corrected():
     return walked(DRIFTED)
 
 
@@ -80,8 +78,7 @@ def test_a_person_who_walks_along_does_not_pull_a_keyframe_along():
     for i, pose in enumerate(DRIFTED):
         ahead = TRUE[i][:3, 3] + 1.3 * TRUE[i][:3, 2] + 0.02 * i * TRUE[i][:3, 0]
         low, high = (ahead[0] - 0.25, ahead[1] - 0.25, 0.0), (ahead[0] + 0.25, ahead[1] + 0.25, 1.7)
-        person = SceneBox(low=low, high=high, rgb=(200, 150, 120))
-        found = registration.place(image(i, (*ROOM, person)), pose)
+        found = registration.place(image(i, (*ROOM, SceneBox(low=low, high=high, rgb=(200, 150, 120)))), pose)
         assert isinstance(found, Placed), found
         poses.append(found.map_from_camera)
     assert errors_m(poses).max() < 0.03
@@ -167,8 +164,7 @@ def test_a_carried_robot_is_kept_out_and_then_starts_over():
 
 def test_a_slip_of_the_odometry_is_found_again():
     slip = from_rotation_translation(yaw_rotation(0.01), np.array([0.06, -0.03, 0.0]))
-    odometry = [*TRUE[:12], *(compose(slip, pose) for pose in TRUE[12:])]
-    found = walked(odometry)
+    found = walked([*TRUE[:12], *(compose(slip, pose) for pose in TRUE[12:])])
     reasons = [each.reason for each in found if isinstance(each, KeptOut)]
     assert 0 < len(reasons) < LOST_KEYFRAMES
     moved_m, times = map(

@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 from hickory_stream.geometry.camera import backproject
-from hickory_stream.poses.surface_image import SurfaceImage, surface_image
+from hickory_stream.poses.surface_image import surface_image
 from tests.poses.registration_scenes import CAMERA, SPREAD_PER_M
 
 
-def seen(depth_m: np.ndarray, max_sigma_m: float = 0.1) -> SurfaceImage:
+def seen(depth_m, max_sigma_m=0.1):
     depth_mm = np.rint(1e3 * depth_m).astype(np.uint16)
     return surface_image(depth_mm, CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=max_sigma_m)
 
 
-def plane(normal: tuple[float, float, float], distance_m: float) -> np.ndarray:
+def plane(normal, distance_m):
     """Return the depth of the plane n . p = -d, as an image."""
     rays = backproject(np.ones((CAMERA.height, CAMERA.width), np.float32), CAMERA).astype(float)
     return -distance_m / (rays @ np.asarray(normal))

@@ -7,7 +7,7 @@ from hickory_stream.records import Scan
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def room(*, has_floor: bool) -> np.ndarray:
+def room(*, has_floor):
     """Return points of two walls and a floor, with a centimetre of noise; z is up."""
     rng = np.random.default_rng(0)
     a, b = rng.uniform(0, 3, 4000), rng.uniform(0, 2, 4000)
@@ -18,7 +18,7 @@ def room(*, has_floor: bool) -> np.ndarray:
     return points + 0.005 * rng.standard_normal(points.shape)
 
 
-def scan_of(points: np.ndarray) -> Scan:
+def scan_of(points):
     return Scan(stamp_ns=0, frame="camera", points=points.astype(np.float32))
 
 

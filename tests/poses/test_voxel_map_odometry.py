@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.voxel_map_odometry import VoxelMapOdometry
@@ -13,16 +12,16 @@ ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0, way_m=3.0, 
 
 
 @pytest.fixture(scope="module")
-def room() -> list[tuple[Scan, NDArray[np.float64]]]:
+def room():
     return corridor_scans(ROOM, seed=1)
 
 
 @pytest.fixture(scope="module")
-def corridor() -> list[tuple[Scan, NDArray[np.float64]]]:
+def corridor():
     return corridor_scans(ENDLESS, seed=1)
 
 
-def end_error_m(found: Registered | NotRegistered, walk: list[tuple[Scan, NDArray[np.float64]]]) -> float:
+def end_error_m(found, walk):
     assert isinstance(found, Registered)
     true_end = compose(invert(walk[0][1]), walk[-1][1])
     return float(np.linalg.norm(found.start_from_sensor[:3, 3] - true_end[:3, 3]))
@@ -65,7 +64,7 @@ def test_a_corridor_without_ends_is_declared_degenerate_along_it(corridor):
 
 def test_along_a_degenerate_direction_the_prediction_moves(corridor):
     odometry = VoxelMapOdometry("lidar")
-    found: Registered | NotRegistered = NotRegistered(reason="no scan")
+    found = NotRegistered(reason="no scan")
     for i, (scan, truth) in enumerate(corridor):
         step = compose(invert(corridor[i - 1][1]), truth) if i else None
         found = odometry.register(scan, step)
@@ -113,5 +112,5 @@ def test_points_of_a_turning_sensor_are_straightened():
     assert errors["deskewed"] < 0.05
 
 
-def _moved(velocity: NDArray[np.float64], seconds: float) -> NDArray[np.float64]:
+def _moved(velocity, seconds):
     return from_rotation_translation(yaw_rotation(seconds), velocity[:3, 3] * seconds)

@@ -1,17 +1,15 @@
 from dataclasses import replace
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.query.answers import Answers, ask
+from hickory_stream.query.answers import ask
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
 from hickory_stream.query.grammar import UnknownWord
-from hickory_stream.query.map_index import MapIndex, index_of
+from hickory_stream.query.map_index import index_of
 from hickory_stream.query.shape_scores import hollow_score, top_map
-from hickory_stream.records import MapSnapshot, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_view, placed
 from tests.navigation.rooms import snapshot
 
@@ -19,13 +17,7 @@ from tests.navigation.rooms import snapshot
 TABLE, CRATE, BOWL, BENCH, BALL, PLATE = 1, 2, 3, 4, 5, 6
 
 
-def body(
-    object_id: int,
-    at: tuple[float, float, float],
-    size: tuple[float, float, float],
-    color: tuple[int, int, int],
-    exponents: tuple[float, float] = (0.1, 0.1),
-) -> TrackedObject:
+def body(object_id, at, size, color, exponents=(0.1, 0.1)):
     primitives = Superquadrics(
         exponents=[exponents], semi_axes_m=[np.array(size) / 2], world_from_local=placed(*at)[None]
     )
@@ -33,7 +25,7 @@ def body(
     return replace(item, sketch=primitives)
 
 
-def bowl(object_id: int, x: float, y: float) -> TrackedObject:
+def bowl(object_id, x, y):
     """A vessel of 0.3 m across and 0.15 m high, open above, on the floor."""
     angles = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     wall = [np.c_[0.15 * np.cos(angles), 0.15 * np.sin(angles), np.full(120, z)] for z in np.arange(0.0, 0.15, 0.01)]
@@ -44,7 +36,7 @@ def bowl(object_id: int, x: float, y: float) -> TrackedObject:
     return replace(item, points_world=points, colors=colors, box=gravity_aligned_box(points, 0.01))
 
 
-def table(object_id: int) -> TrackedObject:
+def table(object_id):
     """A top of 1.2 x 0.8 m at 0.7 m with its legs."""
     x, y = np.meshgrid(np.arange(-0.6, 0.6, 0.02), np.arange(-0.4, 0.4, 0.02))
     top = np.c_[x.ravel(), y.ravel(), np.full(x.size, 0.7)]
@@ -57,7 +49,7 @@ def table(object_id: int) -> TrackedObject:
     return replace(item, points_world=points, colors=colors, box=gravity_aligned_box(points, 0.01))
 
 
-def room() -> MapSnapshot:
+def room():
     return snapshot(
         table(TABLE),
         body(CRATE, (1.5, 2.1, 0.8), (0.3, 0.2, 0.2), (200, 40, 30)),
@@ -69,11 +61,11 @@ def room() -> MapSnapshot:
 
 
 @pytest.fixture(scope="module")
-def index() -> MapIndex:
+def index():
     return index_of(room(), MappingConfig())
 
 
-def ids(answers: Answers) -> set[int]:
+def ids(answers):
     return {answer.id for answer in answers.found}
 
 
@@ -132,8 +124,7 @@ def test_geometry_stands_in_for_common_things(kind):
     index = index_of(snapshot(table(TABLE), body(2, at, size, color, form)), MappingConfig())
     words = ("bottle", "mug", "screen", "lamp", "shelf", "plant")
     named = {word for word in words if 2 in ids(ask(index, f"a {word}"))}
-    expected = {"bookcase": {"shelf"}, "cabinet": set(), "carton": set()}
-    assert named == expected.get(kind, {kind.split()[-1]})
+    assert named == {"bookcase": {"shelf"}, "cabinet": set(), "carton": set()}.get(kind, {kind.split()[-1]})
 
 
 def test_left_and_right_change_places_with_the_viewer(index):
@@ -168,7 +159,7 @@ def test_an_unknown_landmark_or_relation_is_refused(index):
 def test_looks_and_geometry_are_asked_together(index):
     degrees = {TABLE: 0.9, CRATE: 0.8, BALL: 0.7}
 
-    def looks(text: str) -> NDArray[np.float64]:
+    def looks(text):
         assert text in ("wooden", "wooden box", "wooden table")
         return np.array([degrees.get(i, 0.1) for i in index.ids.tolist()])
 

@@ -84,8 +84,7 @@ def yolo(request, ultralytics, tmp_path_factory):
     network.save(weights)
     kind = FastSAM if request.param == 1 else YOLO
     file = folder / "graph.onnx"
-    model = kind(str(weights))
-    made = model.export(format="onnx", imgsz=640, opset=export.OPSET, simplify=False, dynamic=False)
+    made = kind(str(weights)).export(format="onnx", imgsz=640, opset=export.OPSET, simplify=False, dynamic=False)
     file.write_bytes(Path(made).read_bytes())
     return kind(str(weights)), file
 

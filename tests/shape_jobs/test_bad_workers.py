@@ -1,5 +1,3 @@
-"""Reconstructors that misbehave in every way we know: the job fails with its reason, the rest of the map is there."""
-
 import json
 import pytest
 from hickory_stream.base.caches import cache_folder

@@ -67,8 +67,7 @@ def config(toml, i_accept="I do research"):
 
 
 def test_a_generated_shape_replaces_the_embedded_one(inputs):
-    reconstructor = make_reconstructor("external", ShapeConfig(), box_generator())
-    made = reconstructor.reconstruct(inputs)
+    made = make_reconstructor("external", ShapeConfig(), box_generator()).reconstruct(inputs)
     assert made.made_by == "box-generator"
     assert "accepted" in made.verdict
     assert "placed at " in made.verdict
@@ -97,17 +96,14 @@ def test_a_hostile_answer_is_no_mesh(inputs, tmp_path, misdeed, said):
 
 
 def test_one_that_crashes_is_started_anew_and_then_given_up(inputs):
-    generator = ExternalGenerator(box_spec("crash"))
-    found = generator.generate(inputs)
+    found = ExternalGenerator(box_spec("crash")).generate(inputs)
     assert "ended with status 3" in found.reason
     assert not found.hit_limit
 
 
 @pytest.mark.parametrize("misdeed", ["hang", "grow"])
 def test_a_hanging_or_growing_generator_is_ended(inputs, misdeed):
-    generator = ExternalGenerator(box_spec(misdeed, time_s=1.0, memory_mb=300.0))
-    found = generator.generate(inputs)
-    assert found.hit_limit
+    assert ExternalGenerator(box_spec(misdeed, time_s=1.0, memory_mb=300.0)).generate(inputs).hit_limit
     assert not [child for child in psutil.Process().children() if misdeed in child.cmdline()]
 
 
@@ -195,8 +191,7 @@ def test_a_job_never_names_the_program(monkeypatch):
 
 def test_a_run_reports_the_generators_shapes(tmp_path, toml):
     chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.accept_licence=I do research")
-    run = map_scene(tmp_path, *chosen, boxes=SCENE_BOXES[-1:], child_workers=True)
-    (tracked,) = run.snapshots[-1].objects
+    (tracked,) = map_scene(tmp_path, *chosen, boxes=SCENE_BOXES[-1:], child_workers=True).snapshots[-1].objects
     assert tracked.shape.reconstructor == "box-generator"
     (summary,) = summarize(open_map(tmp_path / "map")).objects
     assert summary.verdict == tracked.shape.verdict

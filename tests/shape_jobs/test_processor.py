@@ -37,6 +37,5 @@ def test_on_another_architecture_every_map_depends_on_it(monkeypatch):
 
 
 def test_the_manifest_keeps_the_kind_of_processor(tmp_path):
-    folder = create_map_folder(tmp_path / "map", config={}, source={}, processor="riscv64 some")
-    folder.close()
+    create_map_folder(tmp_path / "map", config={}, source={}, processor="riscv64 some").close()
     assert read_manifest(tmp_path / "map").processor == "riscv64 some"

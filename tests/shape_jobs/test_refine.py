@@ -106,8 +106,7 @@ def test_a_program_that_crashes_leaves_the_embedded_placement(monkeypatch):
         raise WorkerError(f"crashed over {job} in {folder}")
 
     monkeypatch.setattr(program, "ask", crash)
-    found = ExternalRefiner(program, Embedded(0.1)).place(MESH, given())
-    assert found.cost == 1.0
+    assert ExternalRefiner(program, Embedded(0.1)).place(MESH, given()).cost == 1.0
 
 
 def test_a_generators_refiner_counts_with_licence_and_content(tmp_path):

@@ -1,5 +1,3 @@
-"""Answers come when the test says so: what is proved is the order of the commits, not the work of the workers."""
-
 import asyncio
 from dataclasses import replace
 from typing import cast

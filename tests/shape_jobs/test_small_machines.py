@@ -1,5 +1,3 @@
-"""What a run takes of a robot's computer by default: 4 to 12 small cores and 16 GB, of which others need some."""
-
 import json
 import stat
 import subprocess

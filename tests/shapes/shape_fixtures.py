@@ -37,8 +37,7 @@ def looking_at(eye, target):
 
 
 def ray_scene(meshes):
-    o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    scene = import_open3d().t.geometry.RaycastingScene(nthreads=1)
     for mesh in meshes:
         scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
     return scene
@@ -61,8 +60,7 @@ def shape_inputs(
     rng = np.random.default_rng(seed)
     camera = Camera(width=640, height=480, fx=525, fy=525, cx=319.5, cy=239.5)
     middle, size = shape.bounds.mean(axis=0), float(np.linalg.norm(np.ptp(shape.bounds, axis=0)))
-    floor = trimesh.creation.box((20, 20, 0.2)).apply_translation([0, 0, -0.1])
-    scene = ray_scene([shape, floor])
+    scene = ray_scene([shape, trimesh.creation.box((20, 20, 0.2)).apply_translation([0, 0, -0.1])])
     crops, points, colors = [], [], []
     for i in range(num_views):
         azimuth = azimuths_rad[0] + (azimuths_rad[1] - azimuths_rad[0]) * i / num_views

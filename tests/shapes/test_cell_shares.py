@@ -33,8 +33,7 @@ def test_shares_of_a_block_are_those_of_each_cell(e1, e2, rotation, axes):
 
 
 def test_a_box_fills_its_volume():
-    row = row_of((0.1, 0.1), np.array([5.0, 3.0, 2.5]), np.zeros(3), np.eye(3))
-    filled = occupancies(row, _LOW, _HIGH)
+    filled = occupancies(row_of((0.1, 0.1), np.array([5.0, 3.0, 2.5]), np.zeros(3), np.eye(3)), _LOW, _HIGH)
     assert filled.dtype == np.float32
     assert abs(filled.sum() - 10 * 6 * 5) < 0.06 * 10 * 6 * 5
     assert (filled[4 + 9 - 1, 9, 9], filled[7 + 9, 9, 9]) == (1.0, 0.0)

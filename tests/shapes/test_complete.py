@@ -1,5 +1,3 @@
-"""Which of the space that nobody saw belongs to an object."""
-
 import numpy as np
 from hickory_stream.shapes.reconstruct.completion import FREE, SOLID, solid_of
 
@@ -17,8 +15,7 @@ def seen_front(top_depth):
 
 
 def test_a_front_alone_ends_in_a_closing_face():
-    states = seen_front(0)
-    solid = solid_of(states, INNER, None, 0)
+    solid = solid_of(seen_front(0), INNER, None, 0)
     assert solid[INNER][:, :2].mean() > 0.9
     assert not solid[:, 7:].any()
 
@@ -45,8 +42,7 @@ def test_a_sloping_front_has_no_wedge_behind_it():
         states[:, :y, z] = FREE
         states[3:17, y : y + 2, z] = SOLID
     states[:, :, 17:] = FREE
-    solid = solid_of(states, INNER, None, 0)
-    assert solid.sum() < 1.3 * (states == SOLID).sum()
+    assert solid_of(states, INNER, None, 0).sum() < 1.3 * (states == SOLID).sum()
 
 
 def test_seen_free_space_is_never_filled():
@@ -75,8 +71,7 @@ BED = (slice(5, 35), slice(4, 35), slice(3, 20))
 
 
 def test_nothing_is_filled_under_a_bed_and_its_feet_stay():
-    states = seen_bed()
-    solid = solid_of(states, BED, 3, 3)
+    solid = solid_of(seen_bed(), BED, 3, 3)
     assert not solid[10:30, 10:30, 3:8].any()
     assert solid[10:30, 10:30, 10:19].all()
     assert solid[5:7, 4:6, 3:9].all()

@@ -21,8 +21,7 @@ def test_a_bowl_is_filled_to_its_rim():
 
 
 def test_a_pipe_is_filled():
-    pipe = trimesh.creation.annulus(r_min=0.09, r_max=0.1, height=0.4, sections=32)
-    found = filled(grid_of(pipe))
+    found = filled(grid_of(trimesh.creation.annulus(r_min=0.09, r_max=0.1, height=0.4, sections=32)))
     assert abs(volume_of(found) / (np.pi * 0.1**2 * 0.4) - 1) < 0.12
 
 

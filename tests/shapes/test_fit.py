@@ -1,5 +1,3 @@
-"""Layer 3 on shapes whose decomposition is known."""
-
 import numpy as np
 import pytest
 import trimesh

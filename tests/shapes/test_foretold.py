@@ -1,5 +1,3 @@
-"""Generated shapes that are checked by views that they were not made from."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -27,8 +25,7 @@ class Knows:
 def seen():
     """A box that is seen from three sides of an arc."""
     whole = trimesh.creation.box((0.5, 0.3, 0.4)).apply_translation((0, 0, 0.2)).subdivide().subdivide().subdivide()
-    mesh = plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
-    return sighted(mesh, np.random.default_rng(3), 3)
+    return sighted(plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces)), np.random.default_rng(3), 3)
 
 
 def placed(seen, *, flattened):
@@ -42,8 +39,7 @@ def placed(seen, *, flattened):
 
 
 def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen):
-    found = newly_seen(seen.made_from, 1)
-    first, new, size_m = found
+    first, new, size_m = newly_seen(seen.made_from, 1)
     assert len(new) > 100
     nearest = np.linalg.norm(new[:, None] - first[None, ::5], axis=2).min(axis=1)
     assert nearest.min() > 0.02 * size_m

@@ -1,5 +1,3 @@
-"""Layer 4: it contains the object with its margin, never shrinks, and does not explode on thin plates."""
-
 import numpy as np
 import pytest
 import trimesh
@@ -111,8 +109,7 @@ def test_a_margin_thickens_a_plate_by_about_its_length():
     ("name", "r_safe_m"), [("chair", 0.0), ("mug", 0.02), ("table", 0.05), ("torus", 0.0), ("organic", 0.02)]
 )
 def test_the_surface_its_margin_and_layer_1_are_inside(name, r_safe_m):
-    shape = test_mesh(name)
-    mesh = as_mesh(shape)
+    mesh = as_mesh(test_mesh(name))
     fitted = fit_superquadrics(mesh, FitConfig())
     layer_1 = mesh.vertices[::7] + np.float32(0.004)
     after, containment = inflate(

@@ -1,5 +1,3 @@
-"""Placement of meshes of unknown place, size and axes, and the judgement of what was placed."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -99,8 +97,7 @@ def test_what_was_not_seen_or_is_no_surface_is_not_placed(seen):
     )
     assert isinstance(EmbeddedPlacement(CONFIG).place(seen.mesh_world, nothing), NotPlaced)
     flat = plain_mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
-    found = EmbeddedPlacement(CONFIG).place(flat, seen.made_from)
-    assert "area" in found.reason
+    assert "area" in EmbeddedPlacement(CONFIG).place(flat, seen.made_from).reason
 
 
 def test_distances_are_those_to_the_surface():

@@ -1,5 +1,3 @@
-"""The squared distances of cells to triangles: as many cells as there are, none but those in the band."""
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -107,14 +107,12 @@ def test_too_little_is_no_shape_and_says_why(reconstructor):
         crops=(), points_world=np.zeros((3, 3)), colors=np.zeros((3, 3)),
         box=gravity_aligned_box(np.zeros((3, 3)), 0.1), support_z_m=None,
     )  # fmt: skip
-    built = build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG)
-    assert built.reason.startswith(reconstructor)
+    assert build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG).reason.startswith(reconstructor)
 
 
 @pytest.mark.parametrize("reconstructor", ["fused", "single_view"])
 def test_a_build_has_all_layers_and_contains_the_object(reconstructor):
-    inputs = shape_inputs(test_mesh("monitor"), 4)
-    built = build_shape(inputs, make_reconstructor(reconstructor, CONFIG), CONFIG)
+    built = build_shape(shape_inputs(test_mesh("monitor"), 4), make_reconstructor(reconstructor, CONFIG), CONFIG)
     assert not isinstance(built, NoShape)
     assert 1 <= len(built.seen_share) == len(built.fitted) <= len(built.inflated)
     assert ((built.seen_share >= 0) & (built.seen_share <= 1)).all()

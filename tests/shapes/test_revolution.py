@@ -1,5 +1,3 @@
-"""What is round in front is told from what is flat or has a corner, and turned about its axis."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.camera import Camera
@@ -61,5 +59,4 @@ def test_what_was_seen_through_behind_is_not_turned():
 
 
 def test_points_above_the_camera_have_no_front():
-    points = np.array([[0.0, 0.0, 1.0]] * 30)
-    assert half_turn_of(points, CAMERA_WORLD, [], 0.01) is None
+    assert half_turn_of(np.array([[0.0, 0.0, 1.0]] * 30), CAMERA_WORLD, [], 0.01) is None

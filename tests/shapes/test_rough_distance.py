@@ -1,5 +1,3 @@
-"""Distances to the boundary of a solid: those of SciPy's transform, up to a reach."""
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

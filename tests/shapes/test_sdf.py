@@ -47,8 +47,7 @@ def test_overlapping_parts_are_one_solid():
         [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1)).apply_translation([0.5, 0, 0])]
     )
     grid = grid_of(two)
-    points = points_of(grid)
-    truth = (np.abs(points - [0.25, 0, 0]) < np.array([0.75, 0.5, 0.5])).all(axis=1)
+    truth = (np.abs(points_of(grid) - [0.25, 0, 0]) < np.array([0.75, 0.5, 0.5])).all(axis=1)
     assert np.array_equal(grid.values.ravel() < 0, truth)
 
 

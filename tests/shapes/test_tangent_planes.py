@@ -45,8 +45,7 @@ def test_distances_of_many_points_are_those_of_each(e1, e2, rotation, count):
 
 def test_a_deep_enough_point_gets_a_deep_enough_bound():
     row = row_with(0.5, 0.5, np.eye(3))
-    points = np.array([[1.0, -2.0, 0.5], [1.3, -2.0, 0.4]])
-    assert (distances_of(row, points, 0.5) < -0.5).all()
+    assert (distances_of(row, np.array([[1.0, -2.0, 0.5], [1.3, -2.0, 0.4]]), 0.5) < -0.5).all()
 
 
 def test_a_growing_or_moving_sphere_changes_distances_equally():

@@ -63,8 +63,7 @@ def test_the_updates_add_up_to_the_grid_of_the_last_snapshot():
 
 def test_a_map_that_grows_beyond_the_grid_is_sent_whole_again():
     costmap = Costmap(ROBOT, cell_m=0.05)
-    empty = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
-    assert costmap.update(empty) is None
+    assert costmap.update(MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())) is None
     first = costmap.update(snapshot())
     far = costmap.update(snapshot(tracked(3, boxes(((9.0, 9.0, 0.3), (0.3, 0.3, 0.3))))))
     assert far.is_whole

@@ -127,8 +127,7 @@ def test_the_costmap_starts_with_the_observed_and_sends_changes():
     window = states[update.y : update.y + update.height, update.x : update.x + update.width]
     window[:] = np.array(update.data).reshape(update.height, update.width)
     column = int((4.5 - grid.info.origin.position.x) / grid.info.resolution)
-    row = int((1.0 - grid.info.origin.position.y) / grid.info.resolution)
-    assert states[row, column] == 100
+    assert states[int((1.0 - grid.info.origin.position.y) / grid.info.resolution), column] == 100
     assert grid.header.frame_id == "map"
 
 
@@ -156,8 +155,7 @@ def asked(goal, of=None):
 def test_a_goal_gets_a_path_around_what_was_only_observed():
     link, fates = asked(goal_message(0, np.array([5.5, 1.0])), room())
     assert fates == {"answered": 1, "no_path": 0, "refused": 0, "dropped": 0}
-    poses = link.last(PLAN_TOPIC).poses
-    points = np.array([[p.pose.position.x, p.pose.position.y] for p in poses])
+    points = np.array([[p.pose.position.x, p.pose.position.y] for p in link.last(PLAN_TOPIC).poses])
     assert points[0].tolist() == list(START)
     assert points[-1].tolist() == [5.5, 1.0]
     ways = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(points)])

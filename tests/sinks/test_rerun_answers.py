@@ -1,5 +1,3 @@
-"""The recordings of `plan` and `align`: an arrangement each, and nothing in one plane with something else."""
-
 from dataclasses import replace
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-"""The arrangement that a recording carries: where the eyes stand, what each view shows, how the labels lie."""
-
 import cv2
 import numpy as np
 import pyarrow as pa

@@ -1,5 +1,3 @@
-"""What has not changed since it was shown is neither shown again nor looked at: its arrays cannot even be read here."""
-
 from dataclasses import replace
 import numpy as np
 from rerun.components import MeshFaceRendering

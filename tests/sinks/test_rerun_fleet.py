@@ -1,5 +1,3 @@
-"""The recording of a fleet: robots in colours of their own, apart until they are joined."""
-
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader

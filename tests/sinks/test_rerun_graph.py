@@ -1,5 +1,3 @@
-"""What the Rerun sink shows of a pose graph."""
-
 from dataclasses import replace
 import numpy as np
 from hickory_stream.records import Submap
@@ -81,6 +79,5 @@ def test_a_recording_has_the_graph_and_its_numbers(tmp_path):
     rows = rows_of(play(tmp_path, num_frames=2 * KEYFRAME_EVERY, change=with_graph))
     for name in ("before", "after", "submaps", "loops/accepted", "loops/rejected", "loops/withdrawn"):
         assert [row["keyframe"] for row in rows[f"/{GRAPH}/{name}"]] == [0]
-    uncertainty = rows["/plots/graph/uncertainty_m"][0]
-    assert uncertainty["Scalars:scalars"] == [RECORD.nodes[-1].sigma_m]
+    assert rows["/plots/graph/uncertainty_m"][0]["Scalars:scalars"] == [RECORD.nodes[-1].sigma_m]
     assert rows["/plots/graph/residual_m"][0]["Scalars:scalars"][0] < 0.2

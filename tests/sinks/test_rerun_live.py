@@ -1,5 +1,3 @@
-"""A missing, slow, late or dead viewer never slows or stops the mapping."""
-
 import os
 import socket
 import subprocess

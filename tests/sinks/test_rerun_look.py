@@ -1,5 +1,3 @@
-"""`tools/look`: the default arrangement is drawn without complaints."""
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""What the Rerun sink writes to a file, read back with Rerun's own reader."""
-
 import re
 import subprocess
 import sys
@@ -259,8 +257,7 @@ def test_a_mask_is_numbered_once_per_object_in_its_largest_part(tmp_path, rows):
 
 
 def test_every_metric_and_the_objects_per_phase_are_plotted(tmp_path, rows):
-    first = next(iter(reports(1, tmp_path, width=160)))
-    for name, value in first.metrics:
+    for name, value in next(iter(reports(1, tmp_path, width=160))).metrics:
         assert rows[f"/plots/{name}"][0]["Scalars:scalars"] == [pytest.approx(value)]
     assert rows["/plots/objects/tentative"][0]["Scalars:scalars"] == [1.0]
 

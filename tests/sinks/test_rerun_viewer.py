@@ -1,5 +1,3 @@
-"""Choosing a viewer, and colours of ids."""
-
 from pathlib import Path
 import pytest
 from hypothesis import given

@@ -32,8 +32,7 @@ def painted_crop(crop, gain):
 def crops():
     """A box on the floor, seen from three sides and from above, never from below or from behind."""
     box = trimesh.creation.box(_SIZE).apply_translation([0, 0, 0.25])
-    inputs = shape_inputs(box, 4, azimuths_rad=(-0.9, 1.2), noise=0.001)
-    return [painted_crop(crop, 1.0) for crop in inputs.crops]
+    return [painted_crop(crop, 1.0) for crop in shape_inputs(box, 4, azimuths_rad=(-0.9, 1.2), noise=0.001).crops]
 
 
 def box_mesh(crops):
@@ -84,8 +83,7 @@ def test_unseen_texture_is_plain_in_the_colours_around_it(baked):
 
 
 def test_exposures_are_evened(crops):
-    gains = (0.7, 1.15, 0.85, 1.2)
-    uneven = [painted_crop(crop, gain) for crop, gain in zip(crops, gains, strict=True)]
+    uneven = [painted_crop(crop, gain) for crop, gain in zip(crops, (0.7, 1.15, 0.85, 1.2), strict=True)]
     baked = textured(box_mesh(crops), np.eye(4), uneven, TextureConfig(most_px=512))
     ratios = []
     for side in ([1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0]):

@@ -1,5 +1,3 @@
-"""Every benchmark of the table can be run, and its row says which code its figures depend on."""
-
 import pytest
 from tools.benchmarks.headline import ROWS
 from tools.benchmarks.table import BENCHMARKS, code_of

@@ -1,5 +1,3 @@
-"""The fake robot: what its link does to messages, and what it says of them."""
-
 import json
 import os
 from collections import Counter
@@ -63,8 +61,7 @@ def test_jitter_reorders_and_a_narrow_link_queues_and_drops(log):
 
 
 def test_a_restart_zeroes_all_stamps_and_an_offset_moves_them(log):
-    made = plan(prepared([log], loops=2), Faults(restart_s=0.8, clock_offset_s=-120.0))
-    for sending in made.sendings:
+    for sending in plan(prepared([log], loops=2), Faults(restart_s=0.8, clock_offset_s=-120.0)).sendings:
         stamp_ns = serialized_stamp_ns(sending.due.topic, sending.data)
         assert stamp_ns is not None
         if sending.due.due_ns >= 0.8e9:

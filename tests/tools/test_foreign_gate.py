@@ -1,21 +1,15 @@
-"""The gate: what is chosen, what is kept, and that its figures say what they are of."""
-
-from pathlib import Path
-from typing import Any
 import numpy as np
 import pytest
 from hickory_stream.errors import InputError, RecordingError
 from tools.benchmarks.common.cached_runs import cached
-from tools.benchmarks.common.figures import Figure
 from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.benchmarks.foreign.figures import figures_of, of_map, reasons
 from tools.benchmarks.foreign.gate import own_seeds
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
 from tools.benchmarks.foreign.parts import OUTDOORS, OWN, WORLDS, Part, all_parts, chosen_parts
-from tools.evaluation.oracle_ablation import Rung
 
 
-def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[float] | None = None) -> dict[str, Any]:
+def record(found, objects, sizes=None):
     """What a map has: which true objects are found, and (right, ignored) of its objects."""
     return {
         "truth": [
@@ -48,11 +42,11 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
     }
 
 
-def by_name(figures: list[Figure]) -> dict[str, Figure]:
+def by_name(figures):
     return {figure.name: figure for figure in figures}
 
 
-def by_hand(world: str, rung: Rung = "ours", walk: str = "A", camera: str = "hand") -> Part:
+def by_hand(world, rung="ours", walk="A", camera="hand"):
     return Part(world=world, walk=walk, camera=camera, rung=rung)
 
 
@@ -237,7 +231,7 @@ with (world / "runs").open("a") as runs:
 
 
 @pytest.fixture
-def worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def worlds(tmp_path, monkeypatch):
     """A folder of worlds whose program writes its arguments for a log."""
     monkeypatch.setenv("HICKORY_CACHE", str(tmp_path / "cache"))
     folder = tmp_path / "worlds"

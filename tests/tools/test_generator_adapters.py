@@ -1,5 +1,3 @@
-"""The adapters of generators, against fakes of their packages: one wrong axis fails."""
-
 import subprocess
 import tomllib
 from contextlib import contextmanager

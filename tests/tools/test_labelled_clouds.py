@@ -48,8 +48,7 @@ def test_a_cloud_is_a_frame_with_up_from_its_largest_plane(tmp_path, form):
     assert np.isfinite(loaded.frame.depth_m).sum() == WIDTH * HEIGHT - 1
     # A further piece is of the thing that it is a piece of.
     assert sorted(np.unique(loaded.truth)) == [1, 30]
-    up_camera = loaded.frame.world_from_camera[2, :3]
-    assert up_camera == pytest.approx([0.0, -np.sqrt(0.5), -np.sqrt(0.5)], abs=1e-3)
+    assert loaded.frame.world_from_camera[2, :3] == pytest.approx([0.0, -np.sqrt(0.5), -np.sqrt(0.5)], abs=1e-3)
 
 
 def test_references_to_what_was_written_before_are_followed(tmp_path):
@@ -86,7 +85,6 @@ def test_a_folder_without_clouds_is_refused(tmp_path):
 
 def test_the_real_clouds_have_labelled_things_on_a_level_table(mosd):
     for path in clouds_in(mosd):
-        loaded = load_cloud(path)
-        things = np.unique(loaded.truth)
+        things = np.unique(load_cloud(path).truth)
         assert set(things[things > 1]) <= {20, 30, 40}
         assert len(things[things > 1]) >= 2

@@ -1,5 +1,3 @@
-"""What `tools/bench live` sends: a log with four times the pixels and 30 images a second; and how it counts."""
-
 import numpy as np
 from players.opening import open_source
 from tools.benchmarks.live.camera_log import write_720p

@@ -1,5 +1,3 @@
-"""The benchmark that alters maps: a sample of its cases finds nothing, and what it looks for it would find."""
-
 import json
 import shutil
 import subprocess

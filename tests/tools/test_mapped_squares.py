@@ -1,5 +1,3 @@
-"""Parts of whole maps are aligned, and their errors are taken against where the camera truly was around them."""
-
 from functools import cache
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-"""Scores of masks against truth, worked out by hand."""
-
 import numpy as np
 import pytest
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_masks, total
@@ -28,13 +26,11 @@ def test_one_mask_over_two_things_is_right_for_neither():
 def test_a_mask_on_no_thing_counts_and_on_unknown_does_not():
     masks = image([1, 2, 2, 0], [0, 3, 3, 0])
     assert score_masks(masks, TRUTH, 50).f1 == pytest.approx(2 * 2 / (2 + 3))
-    unknown = np.where(image([1, 0, 0, 0], [0, 0, 0, 0]) > 0, UNKNOWN, TRUTH)
-    assert score_masks(masks, unknown, 50).f1 == 1.0
+    assert score_masks(masks, np.where(image([1, 0, 0, 0], [0, 0, 0, 0]) > 0, UNKNOWN, TRUTH), 50).f1 == 1.0
 
 
 def test_things_and_wrong_masks_that_are_too_small_do_not_count():
-    masks = image([1, 2, 2, 0], [0, 0, 0, 0])
-    score = score_masks(masks, image([0, 1, 1, 0], [0, 2, 0, 0]), 150)
+    score = score_masks(image([1, 2, 2, 0], [0, 0, 0, 0]), image([0, 1, 1, 0], [0, 2, 0, 0]), 150)
     assert (score.num_things, score.num_masks, score.f1) == (1, 1, 1.0)
 
 

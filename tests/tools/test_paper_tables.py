@@ -1,5 +1,3 @@
-"""The paper's tables: the data sets' layouts are read as their documentation says, and tables say what was measured."""
-
 import json
 import shutil
 from dataclasses import replace
@@ -244,8 +242,7 @@ def test_a_step_is_measured_once_for_each_input(tmp_path):
         return {"a": 0.1 + 0.2}
 
     for made_from in ({"log": 1}, {"log": 1}, {"log": 2}):
-        shop = Workshop(tmp_path, None, told.append)
-        assert shop.once("step", made_from, measure) == {"a": 0.1 + 0.2}
+        assert Workshop(tmp_path, None, told.append).once("step", made_from, measure) == {"a": 0.1 + 0.2}
     assert len(calls) == 2
     assert told == ["step", "step"]
 

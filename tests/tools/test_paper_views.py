@@ -1,5 +1,3 @@
-"""`tools/paper views` on the first seconds of the demo: one playback, every strategy, every reconstructor."""
-
 import json
 import sys
 from hickory_stream.config import MapperConfig

@@ -54,8 +54,7 @@ def test_a_forest_of_shapes_asks_for_no_sizes_and_joins_too(lessons):
 def test_a_forest_of_odds_joins_with_or_without_the_network(lessons):
     trees, _ = train([lessons[::2], lessons[1:4]], Growth(num_trees=12, with_odds=True), shares=[1.0, 0.5])
     assert set(ODDS_FEATURES) < set(trees.features)
-    asked = {trees.features[i] for i in trees.feature if i >= 0}
-    assert asked & set(ODDS_FEATURES)
+    assert {trees.features[i] for i in trees.feature if i >= 0} & set(ODDS_FEATURES)
     for odds in (lessons[5].odds, None):
         first, *_, last = rounds(lessons[5].measures, trees.probabilities, JoinConfig(probability=0.5), odds)
         assert right_share(lessons[5], last.numbers) > right_share(lessons[5], first.numbers)

@@ -1,5 +1,3 @@
-"""Simulated networks: each rung adds its errors, and a frame's masks follow from seed and stamp."""
-
 import numpy as np
 import pytest
 from hickory_stream.errors import RecordingError

@@ -1,5 +1,3 @@
-"""What `tools/check --size` counts."""
-
 from hickory_stream.settings import Settings
 from tools import size
 

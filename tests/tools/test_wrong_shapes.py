@@ -1,5 +1,3 @@
-"""What wrong shapes cost a map that keeps them, as `tools/bench layer2` counts it."""
-
 import pytest
 from tools.benchmarks.shapes.generated import kept_figures
 from tools.benchmarks.shapes.outcomes import Outcome

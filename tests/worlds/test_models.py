@@ -48,8 +48,7 @@ def test_primitives_have_the_volume_of_their_formulas():
 @settings(max_examples=6)
 @given(st.integers(0, 10_000))
 def test_no_two_objects_of_a_room_cut_into_one_another(seed):
-    world = furnished_room(seed)
-    boxes = [part_boxes(item.model, item.world_from_object) for item in world.objects]
+    boxes = [part_boxes(item.model, item.world_from_object) for item in furnished_room(seed).objects]
     for i, one in enumerate(boxes):
         for other in boxes[:i]:
             assert shared_volume_m3(one, other) == 0.0

@@ -58,8 +58,7 @@ def matrix(translation, rotation):
 def test_the_same_config_makes_the_same_bytes(recording, tmp_path):
     make_recording(SHORT, tmp_path, "short")
     ours = sorted(path.relative_to(recording) for path in recording.rglob("*") if path.is_file())
-    theirs = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
-    assert ours == theirs
+    assert ours == sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
     for path in ours:
         assert (recording / path).read_bytes() == (tmp_path / path).read_bytes(), path
 
@@ -74,8 +73,7 @@ def test_each_image_has_its_stamp_its_size_and_its_camera(recording, messages):
     info = messages[zed_log.DEPTH_INFO_TOPIC][0]
     assert (info.distortion_model, info.d.tolist()) == ("rational_polynomial", [0.0] * 8)
     assert info.k.reshape(3, 3) == pytest.approx(truth.camera.K)
-    color = cv2.imdecode(messages[zed_log.COLOR_TOPIC][0].data, cv2.IMREAD_COLOR)
-    assert color.shape == (90, 160, 3)
+    assert cv2.imdecode(messages[zed_log.COLOR_TOPIC][0].data, cv2.IMREAD_COLOR).shape == (90, 160, 3)
 
 
 def test_odometry_and_static_frames_compose_to_the_true_poses(recording, messages):

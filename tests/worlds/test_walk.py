@@ -9,8 +9,7 @@ from hickory_stream.worlds.trajectory import WalkConfig, camera_rotation, walk_r
 @pytest.fixture(scope="module", params=[0, 1, 2])
 def walk(request):
     world = furnished_room(request.param)
-    trajectory = walk_round(world, 20.0, WalkConfig(clearance_m=0.25), np.random.default_rng(request.param))
-    return world, trajectory
+    return world, walk_round(world, 20.0, WalkConfig(clearance_m=0.25), np.random.default_rng(request.param))
 
 
 def test_the_walk_keeps_its_speed_and_turns_slowly(walk):

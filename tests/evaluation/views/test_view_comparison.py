@@ -1,5 +1,3 @@
-"""Strategies compared: means over all true objects, paired differences, and what is said of them."""
-
 import numpy as np
 import pytest
 from hickory_stream.evaluation.surface_score import SurfaceScore
@@ -7,10 +5,10 @@ from tools.evaluation.views.comparison import compare, format_comparison, paired
 from tools.evaluation.views.trials import BEST, OURS, STRATEGIES, ViewTrial
 
 
-def trial(truth_id: int, s: float | None, others: float | None, best: float | None = None) -> ViewTrial:
+def trial(truth_id, s, others, best=None):
     """A true object of 1 m on which S has one F1 and all other strategies another one; None for no shape."""
 
-    def score(f1: float | None) -> SurfaceScore | None:
+    def score(f1):
         return None if f1 is None else SurfaceScore(f1_1cm=f1 / 2, f1_5pct=f1, add_s_m=0.2 * (1 - f1))
 
     scores = {strategy: score(s if strategy == OURS else others) for strategy in STRATEGIES}

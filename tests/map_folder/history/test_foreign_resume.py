@@ -1,5 +1,3 @@
-"""`resume` of a stranger's map: nothing that it names is run, connected to, or read unless it is a plain file."""
-
 import json
 import os
 from dataclasses import asdict, replace
@@ -71,8 +69,7 @@ def test_from_python_it_is_refused_as_well(interrupted, program):
     path = interrupted(worker_python=str(program))
     with pytest.raises(ConfigError, match="never run"):
         Mapper.resuming(path)
-    mapper = Mapper.resuming(path, ignores_recorded_workers=True)
-    assert mapper.config.run.worker_python == ""
+    assert Mapper.resuming(path, ignores_recorded_workers=True).config.run.worker_python == ""
 
 
 def test_names_of_this_machine_win_over_those_of_the_map(interrupted, program):
@@ -84,8 +81,7 @@ def test_names_of_this_machine_win_over_those_of_the_map(interrupted, program):
 
 
 def test_a_map_without_names_resumes_with_those_of_this_machine(interrupted):
-    path = interrupted()
-    assert resumed_config(path, RunConfig(cluster="tcp://gpu:8786")).run.cluster == "tcp://gpu:8786"
+    assert resumed_config(interrupted(), RunConfig(cluster="tcp://gpu:8786")).run.cluster == "tcp://gpu:8786"
 
 
 @pytest.mark.timeout(30)

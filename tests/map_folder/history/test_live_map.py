@@ -30,8 +30,7 @@ def test_a_plan_in_a_growing_map_avoids_what_was_hardly_seen(tmp_path, capsys):
             sure.append(len(obstacles_of(snapshot)))
             answers.append(await asyncio.to_thread(plan, mapper.folder.path, snapshot))
 
-    options = (*NO_SHAPES, "journal.flush_s=0")
-    map_scene(tmp_path, *options, mode="live", rate=0.5, on_snapshot=asked)
+    map_scene(tmp_path, *(*NO_SHAPES, "journal.flush_s=0"), mode="live", rate=0.5, on_snapshot=asked)
     printed = capsys.readouterr()
     assert sure == [0]
     assert answers == [3]
@@ -47,8 +46,7 @@ def test_a_plan_in_a_growing_map_avoids_what_was_hardly_seen(tmp_path, capsys):
 def test_seen_surface_is_that_of_the_keyframes_until_then(tmp_path):
     run = map_scene(tmp_path, *NO_SHAPES, mode="live", rate=3.0)
     first = run.snapshots[0]
-    found = live_map(run.folder.path, first.stamp_ns)
-    snapshot, seen = found
+    snapshot, seen = live_map(run.folder.path, first.stamp_ns)
     assert snapshot.revision == first.revision
     (submap,) = snapshot.submaps
     points = np.concatenate([tracked.points_world for tracked in snapshot.objects])

@@ -96,14 +96,12 @@ def test_the_journal_replays_it_and_knows_both_pasts(gone_back):
     assert [step.goes_back_to for step in steps[: BACK_AT + 2]] == [*[None] * BACK_AT, BACK_TO, None]
     # Of a moment that came twice, the second time counts.
     saved = open_map(run.folder.path)
-    at_four = saved.as_known_at(START_NS + 4 * PERIOD_NS)
-    assert map_digest(at_four) == map_digest(known[BACK_AT + 2])
+    assert map_digest(saved.as_known_at(START_NS + 4 * PERIOD_NS)) == map_digest(known[BACK_AT + 2])
     assert map_digest(saved.as_known_at(START_NS + PERIOD_NS)) == map_digest(known[1])
 
 
 def test_going_back_again_and_to_the_very_beginning(tmp_path, undisturbed):
-    order = [*there_and_back()[:-2], *range(3, 5), *range(NUM_FRAMES)]
-    run = sought(tmp_path, order, *NO_SHAPES)
+    run = sought(tmp_path, [*there_and_back()[:-2], *range(3, 5), *range(NUM_FRAMES)], *NO_SHAPES)
     assert shown_as(open_map(run.folder.path).snapshot) == shown_as(open_map(undisturbed.folder.path).snapshot)
     assert map_digest(replay(run.folder.path)) == run.digest
     ids = [item.id for item in open_map(run.folder.path).snapshot.objects]

@@ -103,11 +103,9 @@ def test_damage_to_an_array_is_reported_when_it_is_read(watched, tmp_path):
 
 def test_checkpoints_hold_only_what_has_changed(watched):
     with Journal(watched.run.folder.path) as journal:
-        found = journal.checkpoint_before(len(journal) - 1)
-        assert found[0] == 5
+        assert journal.checkpoint_before(len(journal) - 1)[0] == 5
         assert journal.checkpoint_before(1) is None
-        first = journal.checkpoint_before(2)
-        assert first[0] == 2
+        assert journal.checkpoint_before(2)[0] == 2
 
 
 def test_every_mesh_that_the_map_ever_had_is_still_there(watched):
@@ -141,8 +139,7 @@ def test_a_difference_names_what_appeared_and_what_changed(watched):
 def test_differences_know_merged_moved_and_dropped_objects():
     before = make_snapshot()
     first, second, *_ = before.objects
-    merged = replace(first, merged_ids=(second.id,))
-    after = replace(before, objects=(merged, *before.objects[2:]))
+    after = replace(before, objects=(replace(first, merged_ids=(second.id,)), *before.objects[2:]))
     (change,) = changes(before, after)
     assert (change.kind, change.object_id, change.text) == ("merged", second.id, f"is now a part of #{first.id}")
     (dropped,) = changes(before, replace(before, objects=before.objects[1:]))

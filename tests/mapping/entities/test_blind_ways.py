@@ -1,5 +1,3 @@
-"""Ways along which nothing was seen that could tell how far one has come."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
@@ -20,13 +18,10 @@ def test_path_length_adds_up_along_blind_directions_only():
     assert np.count_nonzero(lengths) == 2
 
 
-def test_a_slanted_direction_has_its_own_length():
+def test_a_slanted_direction_has_a_length_and_a_first_step_none():
     askew = np.array([[0.0, 0.0, 0.0, 0.6, 0.8, 0.0]])
     lengths = longer(None, askew, np.eye(4), STEP)
     assert lengths is not None
     assert np.allclose(lengths @ askew[0], 0.5 * askew[0])
-
-
-def test_a_first_or_fully_observed_step_has_no_length():
     assert longer(None, EAST, None, STEP) is None
     assert longer(None, EAST[:0], np.eye(4), STEP) is None

@@ -15,14 +15,14 @@ STEP_M = 1 / STEPS_PER_M
 """A fused mean is off by half of it at most."""
 
 
-def assert_same(a: Cloud, b: Cloud) -> None:
+def assert_same(a, b):
     assert np.array_equal(a.keys, b.keys)
     assert np.array_equal(a.hits, b.hits)
     assert np.allclose(a.points, b.points, atol=2 * STEP_M + 1e-6)
     assert np.allclose(a.colors, b.colors, atol=1e-3)
 
 
-def cells_cloud(cells: np.ndarray) -> Cloud:
+def cells_cloud(cells):
     keys = np.unique(keys_of_cells(cells))
     points = np.zeros((len(keys), 3), dtype=np.float32)
     return Cloud(keys=keys, points=points, colors=points, hits=np.ones(len(keys), dtype=np.int32))
@@ -110,22 +110,18 @@ def test_every_voxel_of_a_cloud_is_near_it(cells):
     assert is_near(shifted, cloud).all()
 
 
-def test_the_share_near_counts_all_voxels_of_a_small_query():
+def test_shares_near_count_all_of_few_voxels_and_sample_many():
     cloud = cells_cloud(np.array([[0, 0, 0]]))
     queries = keys_of_cells(np.array([[0, 0, 0], [1, 1, 1], [2, 0, 0], [9, 9, 9]]))
     assert share_near(queries, cloud) == pytest.approx(0.5)
     assert share_near(queries[:0], cloud) == 0.0
-
-
-def test_the_share_of_a_sample_is_close_to_that_of_all():
-    rng = np.random.default_rng(8)
-    cells = np.unique(rng.integers(0, 60, (6000, 3)), axis=0)
+    cells = np.unique(np.random.default_rng(8).integers(0, 60, (6000, 3)), axis=0)
     cloud = cells_cloud(cells[cells[:, 0] < 30])
     keys = np.unique(keys_of_cells(cells))
     assert share_near(keys, cloud) == pytest.approx(is_near(keys, cloud).mean(), abs=0.05)
 
 
-def with_hits(hits: list[int]) -> Cloud:
+def with_hits(hits):
     cloud = cells_cloud(np.array([[i, 0, 0] for i in range(len(hits))]))
     return Cloud(keys=cloud.keys, points=cloud.points, colors=cloud.colors, hits=np.array(hits, dtype=np.int32))
 
@@ -165,8 +161,7 @@ def test_a_far_tail_of_one_frame_is_not_solid(tail_cells, sightings, is_cut):
     sheet = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), axis=-1).reshape(-1, 3)
     wall = np.stack(np.meshgrid([0], np.arange(40), np.arange(20)), axis=-1).reshape(-1, 3)
     tail = np.stack(np.meshgrid(40 + np.arange(tail_cells), np.arange(8), [0]), axis=-1).reshape(-1, 3)
-    cells = np.concatenate([sheet, wall, tail])
-    points = ((cells + 0.5) * VOXEL_M).astype(np.float32)
+    points = ((np.concatenate([sheet, wall, tail]) + 0.5) * VOXEL_M).astype(np.float32)
     cloud = cloud_of(points, np.zeros((len(points), 3), np.uint8), VOXEL_M)
     x = cells_of_keys(cloud.keys)[:, 0]
     again = (np.arange(len(x)) % 3 == 0) & (x < 40)

@@ -1,13 +1,10 @@
-"""A compressed cloud comes back to the byte, and holds no memory of its arrays meanwhile."""
-
-from collections.abc import Callable
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.mapping.entities.cloud import NAMES, Cloud, is_packed, pack, pack_part, without
 
 
-def cloud_of(steps: list[int], seed: int) -> Cloud:
+def cloud_of(steps, seed):
     count, rng = len(steps), np.random.default_rng(seed)
     return Cloud(
         keys=np.cumsum(steps, dtype=np.int64) - (1 << 40),
@@ -17,9 +14,8 @@ def cloud_of(steps: list[int], seed: int) -> Cloud:
     )
 
 
-def bytes_of(cloud: Cloud) -> list[tuple[str, tuple[int, ...], bytes]]:
-    arrays = [getattr(cloud, name) for name in NAMES]
-    return [(array.dtype.str, array.shape, array.tobytes()) for array in arrays]
+def bytes_of(cloud):
+    return [(array.dtype.str, array.shape, array.tobytes()) for array in [getattr(cloud, name) for name in NAMES]]
 
 
 @settings(max_examples=30, deadline=None)
@@ -47,7 +43,7 @@ def test_earlier_packed_clouds_are_released_without_compressing():
     cloud, kept = cloud_of([1, 2, 3], 0), list[bytes]()
     before = bytes_of(cloud)
 
-    def keep(data: bytes) -> Callable[[], bytes]:
+    def keep(data):
         kept.append(data)
         return lambda: data
 

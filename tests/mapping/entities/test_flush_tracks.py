@@ -5,7 +5,7 @@ from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.geometry.depth_sensor import information
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, fuse, moved_cloud
+from hickory_stream.mapping.entities.cloud import cloud_of, fuse, moved_cloud
 from hickory_stream.mapping.entities.track import box_of, settled
 from hickory_stream.perception.observe import ObserveConfig, observe
 from tests.mapping.picture_wall import frames, true_boxes
@@ -13,9 +13,9 @@ from tests.mapping.picture_wall import frames, true_boxes
 VOXEL_M = 0.01
 
 
-def clouds(distance_m: float, count: int, sigma_per_m: float) -> dict[int, Cloud]:
+def clouds(distance_m, count, sigma_per_m):
     """The cloud of each picture that its true masks make, by its number."""
-    found: dict[int, list[Cloud]] = {}
+    found = {}
     for frame, segmentation in frames(distance_m, count, sigma_per_m):
         for one in observe(frame, segmentation, ObserveConfig(), Lattice())[0]:
             (x0, y0, _, _), (y, x) = one.box_px, np.argwhere(one.mask)[0]

@@ -5,42 +5,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.observed_space import (
-    SpaceState,
-    add,
-    as_record,
-    empty_space,
-    false_floor,
-    floor_change,
-)
-from hickory_stream.records import SpaceObservation
+from hickory_stream.mapping.entities.observed_space import add, as_record, empty_space, false_floor, floor_change
 from tests.mapping.mapping_fixtures import space
 
 key_sets = st.lists(st.integers(0, 30), max_size=20, unique=True).map(lambda keys: np.array(sorted(keys), np.int64))
 
 
-def _observed(free: np.ndarray, structure: np.ndarray, surface: np.ndarray) -> SpaceObservation:
+def _observed(free, structure, surface):
     return space(free, structure, None, np.setdiff1d(surface, structure))
 
 
 observed = st.builds(_observed, key_sets, key_sets, key_sets)
 
 
-def after(*seen: SpaceObservation) -> SpaceState:
+def after(*seen):
     return reduce(add, seen, empty_space(0.05))
 
 
-def keys(*values: int) -> np.ndarray:
+def keys(*values):
     return np.array(values, dtype=np.int64)
 
 
-def test_structure_needs_to_be_seen_twice():
+def test_structure_is_sure_when_seen_twice_and_then_never_free():
     once = space(structure=keys(4, 9))
     assert as_record(after(once)).structure.tolist() == []
     assert as_record(after(once, space(structure=keys(9)))).structure.tolist() == [9]
-
-
-def test_sure_structure_is_not_free_however_many_rays_passed():
     through = space(free=keys(1, 2, 3))
     wall = space(structure=keys(2))
     assert as_record(after(through, wall)).free.tolist() == [1, 2, 3]
@@ -65,7 +54,7 @@ def test_the_space_equals_counting_in_sets(frames):
 @given(st.lists(observed, max_size=5), st.randoms(use_true_random=False))
 def test_the_order_of_the_keyframes_does_not_change_the_space(frames, random):
     shuffled = list(frames)
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    random.shuffle(shuffled)
     one, other = as_record(after(*frames)), as_record(after(*shuffled))
     assert np.array_equal(one.free, other.free)
     assert np.array_equal(one.structure, other.structure)
@@ -81,21 +70,18 @@ def test_outvoted_structure_is_free_where_rays_passed():
     assert as_record(after(*seen, cupboard, cupboard, wall)).structure.tolist() == [2, 3]
 
 
-def test_a_belief_of_long_ago_can_be_unlearned():
+def test_old_beliefs_are_unlearned_and_endless_looks_add_nothing():
     state = after(*[space(structure=keys(2))] * 2000)
     for _ in range(260):
         state = add(state, space(surface=keys(2)))
     assert as_record(state).structure.tolist() == []
-
-
-def test_an_endless_look_at_one_place_does_not_grow_the_space():
     frame = space(free=keys(1, 2), structure=keys(7))
     record = as_record(after(*[frame] * 600))
     assert (record.free.tolist(), record.structure.tolist()) == ([1, 2], [7])
 
 
 def test_the_floor_goes_down_at_once_and_up_slowly():
-    def floor(*heights: float | None) -> float | None:
+    def floor(*heights):
         return after(*(space(floor_z_m=z) for z in heights)).floor_z_m
 
     assert floor() is None
@@ -109,7 +95,7 @@ def test_the_floor_goes_down_at_once_and_up_slowly():
     assert floor(*[0.0] * 3, *[0.02] * 60) == pytest.approx(0.02, abs=1e-3)
 
 
-def level(z_m: float, side_m: float) -> np.ndarray:
+def level(z_m, side_m):
     """The sorted voxels of a level square."""
     x, y = np.meshgrid(np.arange(0.0, side_m, 0.05) + 0.02, np.arange(0.0, side_m, 0.05) + 0.02)
     return np.unique(keys_of_points(np.stack([x, y, np.full(x.shape, z_m)], axis=-1).reshape(-1, 3), 0.05))

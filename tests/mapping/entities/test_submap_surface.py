@@ -8,13 +8,13 @@ CAMERA = Camera(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, cy=119.5)
 POSE = from_rotation_translation(yaw_rotation(0.5), np.array([1.0, 2.0, 3.0]))
 
 
-def wall(depth_m: float = 2.0) -> CoarseFrame:
+def wall(depth_m=2.0):
     depth = np.full((120, 160), round(1000 * depth_m), np.uint16)
     depth[:, 80:] += 500  # a step: two walls, with an edge between them
     return CoarseFrame(stride_px=2, depth_mm=depth, structure=np.zeros(depth.shape, bool), camera=CAMERA)
 
 
-def test_points_lie_on_the_wall_and_normals_look_at_the_camera():
+def test_points_lie_on_near_walls_and_normals_look_at_the_camera():
     seen = surface_points(wall(), POSE, 5.0)
     camera_from_world = np.linalg.inv(POSE)
     local = seen.points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
@@ -23,9 +23,6 @@ def test_points_lie_on_the_wall_and_normals_look_at_the_camera():
     # Cells at the step belong to no surface.
     assert len(seen.points) < 118 * 158
     assert np.abs(local[:, 0]).max() < 1.7
-
-
-def test_what_is_too_far_is_no_surface():
     assert len(surface_points(wall(), POSE, 1.9).points) == 0
 
 

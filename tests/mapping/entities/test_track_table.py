@@ -2,7 +2,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hickory_stream.mapping.entities.track import Track, touching
+from hickory_stream.mapping.entities.track import touching
 from hickory_stream.mapping.entities.track_table import TrackTable
 from tests.mapping.mapping_fixtures import box_surface, track
 
@@ -11,7 +11,7 @@ CHANGES = st.lists(
 )
 
 
-def at(track_id: int, x_m: float, seen_ns: int) -> Track:
+def at(track_id, x_m, seen_ns):
     made = track(track_id, box_surface((x_m, 1.9, 0.2)))
     return replace(made, seen_clock_ns=seen_ns, merged_ids=(100 + track_id,))
 

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.mapping.entities.views import (
     CUT_FACTOR,
-    Strategy,
     ViewConfig,
     better,
     covers_better,
@@ -18,12 +17,11 @@ from hickory_stream.mapping.entities.views import (
     sector_of,
     usefulness,
 )
-from hickory_stream.records import View
 from tests.mapping.mapping_fixtures import view
 from tests.strategies import unit_share, views
 
 CONFIG = ViewConfig()
-STRATEGIES: tuple[Strategy, ...] = ("s_score", "initial", "max_area", "max_box", "max_volume")
+STRATEGIES = ("s_score", "initial", "max_area", "max_box", "max_volume")
 scored = st.builds(lambda v, s: replace(v, score=s), views(), st.one_of(st.none(), st.sampled_from([0.0, 0.1, 0.2])))
 
 
@@ -44,9 +42,10 @@ def test_s_is_the_papers_formula(variance, r_area, r_depth, expected):
     assert s_score(variance, r_area, r_depth, config) == pytest.approx(expected, abs=1e-6)
 
 
-def test_the_variance_is_that_of_features_of_the_papers_length():
+def test_variance_and_exponents_are_those_of_the_paper():
     # ln(1 + 768 * 0.25) = ln 193
     assert s_score(0.25, 1.0, 1.0, CONFIG) == pytest.approx(5.262690, abs=1e-6)
+    assert (CONFIG.strategy, CONFIG.alpha, CONFIG.beta) == ("s_score", 0.3, 0.5)
 
 
 def test_a_view_cut_by_the_border_is_worth_less():
@@ -54,10 +53,6 @@ def test_a_view_cut_by_the_border_is_worth_less():
     cut = replace(whole, is_cut=True)
     assert score(cut, 0.3, CONFIG) == pytest.approx(CUT_FACTOR * score(whole, 0.3, CONFIG))
     assert score(cut, 0.3, ViewConfig(strategy="max_area")) == score(whole, 0.3, ViewConfig(strategy="max_area"))
-
-
-def test_the_exponents_are_the_papers_by_default():
-    assert (CONFIG.strategy, CONFIG.alpha, CONFIG.beta) == ("s_score", 0.3, 0.5)
 
 
 @given(unit_share, unit_share, unit_share, unit_share)
@@ -77,8 +72,8 @@ def test_no_feature_variance_lifts_the_score_above_the_bound(seen, variance, str
 @given(st.lists(st.tuples(views(), unit_share), min_size=1, max_size=12), st.sampled_from(STRATEGIES))
 def test_leaving_out_what_the_bound_rules_out_changes_no_choice(seen, strategy):
     config = ViewConfig(strategy=strategy)
-    best: View | None = None
-    best_of_all: View | None = None
+    best = None
+    best_of_all = None
     for i, (bare, variance) in enumerate(seen):
         candidate = replace(bare, frame_index=i, score=None)
         judged = replace(candidate, score=score(candidate, variance, config))
@@ -114,7 +109,7 @@ def test_each_strategy_picks_what_its_name_says(seen, strategy):
 
 @given(scored, scored, scored)
 def test_the_better_view_does_not_depend_on_the_order(a, b, c):
-    def key(seen: View | None) -> tuple[object, ...]:
+    def key(seen):
         return (seen.score, seen.frame_index, seen.box_px)
 
     if len({key(v)[1:] for v in (a, b, c)}) == 3 and None not in (a.score, b.score, c.score):
@@ -122,13 +117,10 @@ def test_the_better_view_does_not_depend_on_the_order(a, b, c):
         assert key(better(better(a, b), c)) == key(better(a, better(b, c)))
 
 
-def test_of_equal_views_the_earlier_is_better():
+def test_the_earlier_of_equal_views_and_any_scored_one_is_better():
     earlier, later = view(3, score=0.2), view(8, score=0.2)
     assert better(earlier, later) is earlier
     assert better(later, earlier) is earlier
-
-
-def test_a_view_without_score_loses_and_no_view_loses_to_any():
     bare, worst = view(0), view(9, score=0.0)
     assert better(bare, worst) is worst
     assert better(worst, bare) is worst

@@ -1,5 +1,3 @@
-"""Which columns of voxels are walls'."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
@@ -19,20 +17,17 @@ from tests.mapping.mapping_fixtures import space
 VOXEL_M = 0.05
 
 
-def block(width: int, length: int, height: int, below: int = 0) -> np.ndarray:
+def block(width, length, height, below=0):
     """The sorted keys of a block of voxels that begins at height 0, or so many below."""
     steps = np.meshgrid(np.arange(width), np.arange(length), np.arange(-below, height), indexing="ij")
     return np.sort(keys_of_cells(np.stack(steps, axis=-1).reshape(-1, 3)))
 
 
-def test_columns_begin_where_x_or_y_changes():
+def test_columns_begin_where_x_or_y_changes_and_nothing_has_none():
     cells = np.array([(0, 0, 1), (0, 0, 2), (0, 1, 0), (2, 1, 5), (2, 1, 6), (2, 1, 7)])
     starts = column_starts(cells)
     assert starts.tolist() == [0, 2, 3]
     assert column_sizes(starts, len(cells)).tolist() == [2, 1, 3]
-
-
-def test_there_are_no_columns_of_nothing():
     starts = column_starts(np.empty((0, 3), dtype=np.int64))
     assert starts.tolist() == column_sizes(starts, 0).tolist() == []
 

@@ -1,15 +1,11 @@
-"""Association: one-to-one among whole things, parts by their points, and nothing hangs on the order of arrival."""
-
 from itertools import permutations
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import box_iou
-from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.rules.association import AssociateConfig, Match, associate
-from hickory_stream.records import Observation
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, observation, track
 
 CONFIG = AssociateConfig()
@@ -19,15 +15,15 @@ SIDE = 0.2
 places = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3)), min_size=1, max_size=5)
 
 
-def at(place: tuple[int, int]) -> np.ndarray:
+def at(place):
     return box_surface((0.1 * place[0], 0.1 * place[1], 0.1))
 
 
-def matched(observations: list[Observation], *tracks: Track) -> list[Match]:
+def matched(observations, *tracks):
     return associate(observations, TrackTable({t.id: t for t in tracks}), VOXEL_M, CONFIG)
 
 
-def pairs(matches: list[Match]) -> dict[int, int | None]:
+def pairs(matches):
     return {match.observation_index: match.track_id for match in matches}
 
 
@@ -64,7 +60,7 @@ def test_the_order_of_observations_does_not_change_the_pairs(seen, known, random
     tracks = [track(i + 1, at(place)) for i, place in enumerate(known)]
     observations = [observation(i, at(place)) for i, place in enumerate(seen)]
     shuffled = list(observations)
-    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    random.shuffle(shuffled)
     assert pairs(matched(observations, *tracks)) == pairs(matched(shuffled, *tracks))
 
 
@@ -91,15 +87,11 @@ def test_the_larger_of_two_things_on_a_track_is_the_track():
     assert (first.is_part, second.is_part) == (True, False)
 
 
-def test_ties_go_to_the_lower_track_id_in_any_order():
+def test_ties_go_to_the_lower_track_and_the_first_observation():
     points = box_surface((0, 0, 0.1))
     for ids in ((3, 7), (7, 3)):
         tracks = TrackTable({i: track(i, points) for i in ids})
         assert pairs(associate([observation(0, points)], tracks, VOXEL_M, CONFIG)) == {0: 3}
-
-
-def test_of_equal_observations_the_first_is_the_track():
-    points = box_surface((0, 0, 0.1))
     first, second = matched([observation(0, points), observation(1, points)], track(5, points))
     assert (first.track_id, first.is_part) == (5, False)
     assert (second.track_id, second.is_part) == (5, True)
@@ -115,8 +107,7 @@ def test_the_better_pair_is_made_first():
 
 def test_a_partial_view_that_lies_on_a_track_goes_to_it():
     table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
-    corner = table[(table[:, 0] > 0.4) & (table[:, 1] > 0.2)]
-    seen = observation(0, corner)
+    seen = observation(0, table[(table[:, 0] > 0.4) & (table[:, 1] > 0.2)])
     known = track(2, table)
     assert box_iou(seen.box, known.box) < CONFIG.min_iou
     (match,) = matched([seen], known)
@@ -125,30 +116,23 @@ def test_a_partial_view_that_lies_on_a_track_goes_to_it():
     assert not match.is_part
 
 
-def test_a_thing_in_the_box_of_a_track_off_its_points_is_new():
+def test_a_thing_off_a_tracks_points_or_far_from_all_is_new():
     # Below a table: inside its box, off its surface.
     top, leg = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((-0.55, -0.35, 0.35), (0.04, 0.04, 0.7))
-    bin_below = observation(0, box_surface((0.2, 0.1, 0.15)))
-    (match,) = matched([bin_below], track(1, np.concatenate([top, leg])))
+    (match,) = matched([observation(0, box_surface((0.2, 0.1, 0.15)))], track(1, np.concatenate([top, leg])))
     assert match.track_id is None
     assert match.lies_on < CONFIG.min_lies_on
     assert [i for i, _ in match.candidates] == [1]
-
-
-def test_where_nothing_is_near_an_observation_is_new():
     (match,) = matched([observation(0, box_surface((5, 0, 0.1)))], track(1, box_surface((0, 0, 0.1))))
     assert match == Match(observation_index=0, track_id=None, iou=0.0, lies_on=0.0, is_part=False, candidates=())
 
 
-def test_candidates_are_named_best_first_with_exact_iou():
+def test_all_candidates_are_named_best_first_with_exact_iou():
     # Cubes shifted by a quarter and a half of their side: 3/5 and 1/3, but for the steps that their points lie at.
     tracks = [track(1, box_surface((0.1, 0, 0.1))), track(2, box_surface((0.05, 0, 0.1)))]
     (match,) = matched([observation(0, box_surface((0, 0, 0.1)))], *tracks)
     assert [i for i, _ in match.candidates] == [2, 1]
     assert [iou for _, iou in match.candidates] == pytest.approx([3 / 5, 1 / 3], abs=1e-3)
-
-
-def test_every_candidate_is_named_however_many_there_are():
     tracks = [track(i, box_surface((0.01 * i, 0, 0.1))) for i in range(1, 9)]
     (match,) = matched([observation(0, box_surface((0, 0, 0.1)))], *tracks)
     assert [i for i, _ in match.candidates] == list(range(1, 9))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.observed_space import SpaceState, add, empty_space
+from hickory_stream.mapping.entities.observed_space import add, empty_space
 from hickory_stream.mapping.rules.fixtures import judged
 from hickory_stream.records import ObjectKind
 from tests.mapping.mapping_fixtures import box_surface, space, track
@@ -9,7 +9,7 @@ from tests.mapping.mapping_fixtures import box_surface, space, track
 VOXEL_M = 0.05
 
 
-def grid(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> np.ndarray:
+def grid(x, y, z):
     steps = [np.arange(low + VOXEL_M / 2, max(high, low + VOXEL_M), VOXEL_M) for low, high in (x, y, z)]
     return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
 
@@ -19,7 +19,7 @@ CEILING = grid((0.0, 3.0), (-2.0, 2.0), (2.5, 2.55))
 WALL = grid((-0.1, 0.0), (-2.0, 2.0), (0.0, 2.5))
 
 
-def room(*things: np.ndarray, structure: tuple[np.ndarray, ...] = (FLOOR, CEILING, WALL), floor_m=0.0) -> SpaceState:
+def room(*things, structure=(FLOOR, CEILING, WALL), floor_m=0.0):
     """A room 3 m deep with a wall at x = 0, free where nothing is, after ten keyframes."""
     solid = np.unique(keys_of_points(np.concatenate([*structure, *things]), VOXEL_M))
     walls = np.unique(keys_of_points(np.concatenate(structure), VOXEL_M)) if structure else np.empty(0, np.int64)
@@ -58,7 +58,7 @@ OBJECTS = {
 }  # fmt: skip
 
 
-def probability(state: SpaceState, points: np.ndarray) -> float:
+def probability(state, points):
     found, why = judged(track(1, points, sightings=9), state)
     assert (found.kind is ObjectKind.FIXTURE) == (found.fixture_probability > 0.5)
     assert f"a fixture by {found.fixture_probability:.2f}" in why

@@ -11,7 +11,7 @@ CONFIG = KeyframeConfig(min_interval_s=0.25, min_distance_m=0.15, min_angle_deg=
 START = from_rotation_translation(Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix(), np.ones(3))
 
 
-def moved(distance_m: float, angle_deg: float) -> np.ndarray:
+def moved(distance_m, angle_deg):
     turn = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
     return START @ from_rotation_translation(turn, np.array([distance_m, 0, 0]))
 

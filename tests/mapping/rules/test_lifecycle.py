@@ -10,7 +10,7 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.submaps import first_submap, with_seen
-from hickory_stream.mapping.entities.track import ShapeState, Track
+from hickory_stream.mapping.entities.track import ShapeState
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.lifecycle import (
@@ -21,7 +21,6 @@ from hickory_stream.mapping.rules.lifecycle import (
     LifeEvent,
     Other,
     TrackEffect,
-    Transition,
     first_phase,
     life_cycle_table,
     transition,
@@ -45,15 +44,7 @@ BRANCH = box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12))
 WALL_POINTS = BOX[BOX[:, 0] < -0.06]
 
 
-def there(
-    phase: Phase,
-    *,
-    points: np.ndarray = BOX,
-    observed_s: float = 9.0,
-    unseen_s: float = 0.0,
-    seen_through_s: float = 0.0,
-    others: tuple[Track, ...] = (),
-) -> MapState:
+def there(phase, *, points=BOX, observed_s=9.0, unseen_s=0.0, seen_through_s=0.0, others=()):
     """A map with track 1 in a phase, not seen for so long, whose shape is asked for as job 5 once it is confirmed."""
     state = MapState(submaps=first_submap(SPACE_M), clock_ns=round((7 + unseen_s) * SECOND_NS), next_id=9)
     state.keyframe_ns = SECOND_NS
@@ -68,13 +59,13 @@ def there(
     return state
 
 
-def forgotten(state: MapState) -> MapState:
+def forgotten(state):
     """The map after a pose jump: nothing was seen since."""
     state.submaps = replace(state.submaps, first=1)
     return state
 
 
-def in_air(phase: Phase, unseen_s: float) -> MapState:
+def in_air(phase, unseen_s):
     """A branch in free space, away from every wall, that touches the pot."""
     state = there(phase, points=BRANCH, unseen_s=unseen_s, others=(track(2, POT),))
     steps = np.arange(-1.0, 1.0, 0.025)
@@ -86,7 +77,7 @@ def in_air(phase: Phase, unseen_s: float) -> MapState:
     return state
 
 
-def with_wall(state: MapState) -> MapState:
+def with_wall(state):
     """The map where the track has included a piece of the wall behind it."""
     item = state.tracks[1]
     state.tracks[1] = replace(item, cloud=replace(item.cloud, hits=np.ones_like(item.cloud.hits)))
@@ -95,7 +86,7 @@ def with_wall(state: MapState) -> MapState:
     return state
 
 
-def case_of(state: MapState) -> TrackTransition:
+def case_of(state):
     return TrackTransition(state, 1, CONFIG, free_keys=FREE, merges=True)
 
 
@@ -139,7 +130,7 @@ NOTHING = [
 ]
 
 
-def told(row: Transition) -> str:
+def told(row):
     return f"{'/'.join(row.phases or ('new',))} {row.event.name}"
 
 
@@ -238,7 +229,7 @@ def test_a_confirmed_track_is_never_lost_by_time_alone(phase, observed_s, unseen
 
 @given(st.sampled_from(list(Phase)), st.integers(0, 9), st.floats(0, 100), st.floats(0, 100))
 def test_a_track_that_stays_unseen_never_becomes_younger(phase, observed_s, first_s, more_s):
-    def after(unseen_s: float) -> Phase | None:
+    def after(unseen_s):
         state = there(phase, observed_s=observed_s, unseen_s=unseen_s)
         case_of(state).happens(AGED)
         return state.tracks[1].phase if 1 in state.tracks else None

@@ -1,9 +1,7 @@
-"""A loop that is withdrawn takes its merges back: two tracks again, each with its own id, history, views and shape."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
-from hickory_stream.events import PosesCorrected, Publish
+from hickory_stream.events import Publish
 from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, invert
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
@@ -12,25 +10,23 @@ from hickory_stream.map_folder.codec import encode_snapshot
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import Cloud, fuse, grown_since
-from hickory_stream.records import TrackedObject
 from tests.mapping.mapping_fixtures import VOXEL_M, drive, shape_ready
 from tests.mapping.test_moved_submaps import DRIFT, HOME, at, drifted, out_and_back, placed
 
 
-def withdrawn(core: MapperCore) -> PosesCorrected:
+def withdrawn(core):
     """Every submap where odometry has it: no loop is believed any more."""
     correction = placed(core)
     return replace(correction, world_from_submap=np.array([np.eye(4)] * len(correction.submap_ids)))
 
 
-def objects_of(core: MapperCore) -> dict[int, TrackedObject]:
+def objects_of(core):
     return {item.id: item for item in core.snapshot().objects}
 
 
-def with_shapes(core: MapperCore) -> MapperCore:
+def with_shapes(core):
     """Give each object that has asked for one a shape of its own."""
-    tracks: dict = core.state()["tracks"]  # type: ignore[assignment, type-arg]
-    for track in tracks.values():
+    for track in core.state()["tracks"].values():
         if track.shape_state.open_ticket is not None:
             core.handle(shape_ready(track.shape_state.open_ticket, track.id))
     return core

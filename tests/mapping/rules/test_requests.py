@@ -1,9 +1,6 @@
-"""Which shapes are asked for, and what an object stands on."""
-
 from dataclasses import replace
-from typing import Any
 import pytest
-from hickory_stream.mapping.entities.track import ShapeState, Track
+from hickory_stream.mapping.entities.track import ShapeState
 from hickory_stream.mapping.rules.shape_requests import (
     RequestConfig,
     gain_of,
@@ -22,13 +19,13 @@ CONFIG = RequestConfig(
 POINTS = box_surface((0, 0, 0.1))
 
 
-def seen(track_id: int, *, num_views: int = 2, sightings: int = 9) -> Track:
+def seen(track_id, *, num_views=2, sightings=9):
     """A confirmed track that has no shape yet."""
     coverage = tuple((i, view(10 * track_id + i)) for i in range(num_views))
     return replace(track(track_id, POINTS, sightings=sightings), coverage=coverage)
 
 
-def built(track_id: int, *, new_views: int = 0, asked_s: float = 0.0) -> Track:
+def built(track_id, *, new_views=0, asked_s=0.0):
     """A track with a shape of two views, and views that are new since."""
     bare = seen(track_id, num_views=2 + new_views)
     asked = ShapeState(
@@ -39,12 +36,12 @@ def built(track_id: int, *, new_views: int = 0, asked_s: float = 0.0) -> Track:
     return replace(bare, shape=shape(1), shape_state=asked)
 
 
-def failed(bare: Track, failures: int) -> Track:
+def failed(bare, failures):
     state = ShapeState(asked_views=tuple(v.name for v in bare.views), asked_points=1, failures=failures)
     return replace(bare, shape_state=state)
 
 
-def asked(*tracks: Track, num_open: int = 0, clock_s: float = 100, is_final: bool = False) -> list[int]:
+def asked(*tracks, num_open=0, clock_s=100, is_final=False):
     known = {t.id: t for t in tracks}
     return next_requests(known, num_open, round(clock_s * SECOND_NS), is_final=is_final, config=CONFIG)
 
@@ -54,7 +51,7 @@ def test_first_shapes_and_lower_ids_come_first():
     assert asked(built(1, new_views=30), seen(4)) == [4, 1]
 
 
-def scored(bare: Track, score: float, asked_score: float = 0.0, **state: Any) -> Track:
+def scored(bare, score, asked_score=0.0, **state):
     """The track with a best view of a score, whose shape was last asked for at another one."""
     best = replace(bare.views[0], score=score)
     coverage = ((0, best), *bare.coverage[1:])
@@ -62,11 +59,8 @@ def scored(bare: Track, score: float, asked_score: float = 0.0, **state: Any) ->
     return replace(bare, best_view=best, coverage=coverage, shape_state=shape_state)
 
 
-def test_among_new_objects_the_best_view_comes_first():
+def test_the_best_view_and_the_largest_gain_come_first():
     assert asked(scored(seen(1), 0.1), scored(seen(2), 0.3)) == [2, 1]
-
-
-def test_among_renewals_the_largest_gain_comes_first():
     much, little = scored(built(1, new_views=30), 0.30, 0.29), scored(built(2, new_views=30), 0.2, 0.1)
     assert asked(much, little) == [2, 1]
     # It cannot be negative: of two that have not grown, what is new in views decides.
@@ -102,15 +96,12 @@ def test_costs_that_no_job_has_are_refused(name, value):
         RequestConfig(**{name: value})
 
 
-def test_no_more_jobs_are_open_than_allowed():
+def test_no_more_jobs_are_open_than_allowed_and_one_per_object():
     tracks = [seen(i) for i in range(1, 6)]
     assert asked(*tracks) == [1, 2]
     assert asked(*tracks, num_open=1) == [1]
     assert asked(*tracks, num_open=2) == []
     assert asked(*tracks, num_open=7) == []
-
-
-def test_an_object_with_an_open_job_is_not_asked_for_again():
     assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4))) == []
     assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4)), is_final=True) == []
 
@@ -128,14 +119,11 @@ def test_at_the_end_every_missing_shape_is_requested_at_once(phase):
     assert asked(*tracks, num_open=2, is_final=True) == [1, 2, 3, 4, 5, 6, 7]
 
 
-def test_a_shape_is_renewed_after_enough_news_and_time():
+def test_a_shape_is_renewed_after_news_and_time_or_at_the_end():
     assert asked(built(1, new_views=30)) == [1]
     assert asked(built(1, new_views=1)) == []
     assert asked(built(1, new_views=30, asked_s=95)) == []
     assert asked(built(1, new_views=30, asked_s=94)) == [1]
-
-
-def test_at_the_end_a_smaller_gain_renews_a_shape():
     assert asked(built(1, new_views=1), is_final=True) == [1]
     assert asked(built(1), is_final=True) == []
 
@@ -159,13 +147,9 @@ def test_surface_that_is_gone_counts_twice():
     assert asked(shrunk, is_final=True) == [1]
 
 
-def test_at_the_end_points_without_a_view_are_enough():
+def test_objects_without_views_and_failed_ones_come_at_the_end():
     assert asked(seen(1, num_views=0), is_final=True) == [1]
-
-
-def test_an_object_whose_shape_failed_too_often_is_set_aside():
-    grown = failed(seen(1), failures=1)
-    assert asked(grown) == [1]
+    assert asked(failed(seen(1), failures=1)) == [1]
     assert asked(failed(seen(1), failures=2)) == []
     assert asked(failed(seen(1), failures=2), is_final=True) == []
 

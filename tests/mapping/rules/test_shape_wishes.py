@@ -1,10 +1,7 @@
-"""What is followed from the tracks that change is what one finds who goes through all of them."""
-
 from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.mapping.derived import ShapeWishes
-from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.rules.shape_requests import next_requests
 from tests.mapping.mapping_fixtures import SECOND_NS
@@ -14,7 +11,7 @@ KINDS = ("seen", "seen more", "built", "built anew", "scored", "failed", "job", 
 CHANGES = st.lists(st.tuples(st.integers(1, 5), st.sampled_from(KINDS), st.integers(0, 9)), min_size=1, max_size=25)
 
 
-def changed(track_id: int, kind: str, seconds: int) -> Track | None:
+def changed(track_id, kind, seconds):
     match kind:
         case "seen":
             return seen(track_id)

@@ -2,16 +2,15 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from hickory_stream.events import PosesCorrected
 from hickory_stream.geometry.lazy_arrays import has_given_up
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.observed_space import SpaceState, added, empty_space, structure_of
+from hickory_stream.mapping.entities.observed_space import added, empty_space, structure_of
 from hickory_stream.mapping.rules import space_agreement
 from hickory_stream.mapping.rules.space_agreement import contradicted
-from hickory_stream.records import MapSnapshot, SpaceObservation
+from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import SECOND_NS, drive
 from tests.mapping.test_submaps import CONFIG, at
 
@@ -19,14 +18,12 @@ V = 0.05
 TURN = from_rotation_translation(yaw_rotation(0.3), np.array([0.02, -0.03, 0.01]))
 
 
-def block(
-    low: tuple[float, float, float], high: tuple[float, float, float], step_m: float = 0.02
-) -> NDArray[np.float64]:
+def block(low, high, step_m=0.02):
     axes = [np.arange(a + step_m / 2, b, step_m) for a, b in zip(low, high, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def space_of(free: NDArray[np.float64], wall: NDArray[np.float64]) -> SpaceState:
+def space_of(free, wall):
     solid = sorted_unique(keys_of_points(wall, V))
     empty = sorted_unique(keys_of_points(free, V))
     seen = SpaceObservation(
@@ -50,7 +47,7 @@ def test_only_what_a_later_submap_saw_otherwise_is_contradicted():
     check_cupboard(apply(invert(TURN), come))
 
 
-def check_cupboard(points: NDArray[np.float64]) -> None:
+def check_cupboard(points):
     """Check that voxels are those of the cupboard, but for free ones that the rim of the wall cuts."""
     inside = ((points > [0.39, 0.39, 0]) & (points < [0.71, 0.71, 0.5])).all(axis=1)
     assert (inside | (np.abs(points[:, 0] - 1.0) < V)).all()
@@ -66,7 +63,7 @@ def test_only_what_lies_where_the_later_one_looked_is_compared(seed, yaw, off):
     after_from_before = from_rotation_translation(yaw_rotation(yaw), np.array([*off, 0.03]))
     found = contradicted(before, after, after_from_before)
 
-    def there(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    def there(keys):
         return keys_of_points(apply(after_from_before, centers_of_keys(keys, V).astype(np.float64)), V)
 
     structure, solid = structure_of(before), structure_of(after)
@@ -85,7 +82,7 @@ def test_nothing_is_contradicted_by_itself_or_unseen():
     assert len(contradicted(space, empty_space(V), np.eye(4))) == 0
 
 
-def walked(*, is_corrected: bool) -> MapperCore:
+def walked(*, is_corrected):
     """Two submaps of one place: in the first there is a cupboard, in the second, by odometry that drifted, none."""
     core = MapperCore(CONFIG)
     first, second = space_of(ROOM, np.concatenate([WALL, CUPBOARD])), space_of(apply(TURN, ROOM), apply(TURN, WALL))
@@ -96,16 +93,16 @@ def walked(*, is_corrected: bool) -> MapperCore:
     return core
 
 
-def _seen(space: SpaceState) -> SpaceObservation:
+def _seen(space):
     solid = structure_of(space)
     return SpaceObservation(free_keys=space.free, structure_keys=solid, surface_keys=solid, floor_z_m=None)
 
 
-def _placed(place: NDArray[np.float64]) -> PosesCorrected:
+def _placed(place):
     return PosesCorrected(stamp_ns=20 * SECOND_NS, submap_ids=(0, 1), world_from_submap=np.array([np.eye(4), place]))
 
 
-def _structure_at(snapshot: MapSnapshot, points_world: NDArray[np.float64]) -> int:
+def _structure_at(snapshot, points_world):
     """Return in how many submaps there is structure at some of the points."""
     found = 0
     for submap in snapshot.submaps:
@@ -160,7 +157,7 @@ def test_spaces_of_moved_submaps_are_compressed_and_read_briefly(monkeypatch):
     assert not _is_at_hand(core.submaps[0].space)
 
 
-def _is_at_hand(space: SpaceState) -> bool:
+def _is_at_hand(space):
     try:
         object.__getattribute__(space, "free")
     except AttributeError:

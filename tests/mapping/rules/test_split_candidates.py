@@ -1,13 +1,10 @@
-"""Parts that are split off their host, and swollen observations."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive, keyframe, observation, track
@@ -18,7 +15,7 @@ DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
 SET = box_surface((0.0, 0.0, 1.0), (0.5, 0.2, 0.36))
 
 
-def cloud(points: NDArray[np.float32]) -> Cloud:
+def cloud(points):
     return cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
 
 
@@ -41,18 +38,12 @@ def test_being_seen_as_one_counts_against_it():
     assert not part.is_object(CONFIG)
 
 
-def test_what_shows_a_part_alone_says_nothing_of_its_host():
+def test_parts_are_told_by_place_and_go_where_their_host_goes():
     parts = with_keyframe({}, 0, PASSED_NS, [(1, cloud(SET))], [])
     parts = with_keyframe(parts, 1, PASSED_NS, [], [(1, cloud(SET))])
     assert [(part.frame_index, part.sightings, part.together_ns) for part in parts[1]] == [(0, 1, 0)]
-
-
-def test_parts_at_different_places_are_different_parts():
     parts = with_keyframe({}, 0, PASSED_NS, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [])
     assert [part.sightings for part in parts[1]] == [1, 1]
-
-
-def test_parts_go_where_their_host_goes():
     parts = with_keyframe({}, 0, PASSED_NS, [(2, cloud(SET))], [])
     assert list(reassigned(parts, 1, 2)) == [1]
 

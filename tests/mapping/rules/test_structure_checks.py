@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.mapping.entities.observed_space import SpaceState, add, empty_space
+from hickory_stream.mapping.entities.observed_space import add, empty_space
 from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall
 from tests.mapping.mapping_fixtures import box_surface, space, track
 
@@ -11,7 +11,7 @@ SPACE_M = CONFIG.voxels.space_m
 BOX = box_surface((0.0, 0.0, 0.5), (0.4, 0.4, 0.4))
 
 
-def space_with(points: np.ndarray, num_keyframes: int) -> SpaceState:
+def space_with(points, num_keyframes):
     """Space in which so many keyframes saw structure at points."""
     state = empty_space(SPACE_M)
     for _ in range(num_keyframes):
@@ -19,7 +19,7 @@ def space_with(points: np.ndarray, num_keyframes: int) -> SpaceState:
     return state
 
 
-def share_of_box(share: float) -> np.ndarray:
+def share_of_box(share):
     """The lowest points of the box, about so many of them."""
     return BOX[np.argsort(BOX[:, 2], kind="stable")][: round(share * len(BOX))]
 
@@ -34,13 +34,10 @@ def test_between_a_seam_and_all_of_a_track_lies_in_a_wall(share, is_told):
         assert cloud.points[in_wall, 2].mean() < cloud.points[~in_wall, 2].mean()
 
 
-def test_a_track_seen_more_often_than_the_wall_stays():
+def test_a_wall_needs_more_keyframes_than_the_track_in_it():
     state = space_with(share_of_box(0.5), 6)
     assert points_in_wall(track(1, BOX, sightings=2), state) is not None
     assert points_in_wall(track(1, BOX, sightings=3), state) is None
-
-
-def test_too_few_keyframes_make_no_wall():
     assert points_in_wall(track(1, BOX, sightings=1), space_with(share_of_box(0.5), 3)) is None
 
 

@@ -1,13 +1,11 @@
-"""Merging: duplicates become one with both histories, and one bad frame welds nothing."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
-from hickory_stream.mapping.entities.track import Track, with_cloud
+from hickory_stream.mapping.entities.cloud import cloud_of
+from hickory_stream.mapping.entities.track import with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.merging import (
@@ -31,18 +29,18 @@ pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair
 
 
 @st.composite
-def vote_books(draw: st.DrawFn) -> VoteBook:
+def vote_books(draw):
     book = VoteBook()
     for pair in draw(st.lists(pairs, max_size=12)):
         book = book.plus([pair], together_ns=draw(st.integers(0, 3)), apart_ns=draw(st.integers(0, 3)))
     return book
 
 
-def cloud(points: np.ndarray) -> Cloud:
+def cloud(points):
     return cloud_of(points, np.zeros((len(points), 3), dtype=np.uint8), VOXEL_M)
 
 
-def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
+def found(book, *tracks):
     known = TrackTable({t.id: t for t in tracks})
     pair = find_pair(known, known, book, graph_of(known), 0.01, CONFIG)
     return pair[:2] if pair is not None else None
@@ -81,23 +79,17 @@ def test_a_dropped_track_leaves_no_votes_and_takes_no_others(book, gone):
     assert all(after.votes[known] == votes for known, votes in book.votes.items() if gone not in known)
 
 
-def test_tracks_with_equal_points_are_one_with_the_lower_id():
+def test_equal_tracks_and_a_piece_on_a_larger_one_are_one():
     points = box_surface((0, 0, 0.1))
     assert found(VoteBook(), track(8, points), track(3, points)) == (3, 8)
-
-
-def test_a_piece_that_lies_on_a_larger_track_is_that_track():
     table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
     assert found(VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
 
 
-def test_tracks_that_are_apart_or_side_by_side_are_two():
+def test_tracks_apart_and_a_mug_on_a_table_are_two():
     box = track(1, box_surface((0, 0, 0.1)))
     assert found(VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
     assert found(VoteBook(), box, track(2, box_surface((0.23, 0, 0.1)))) is None
-
-
-def test_a_mug_on_a_table_is_not_the_table():
     table, mug = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((0.2, 0.1, 0.775), (0.08, 0.08, 0.1))
     assert found(VoteBook(), track(1, table), track(2, mug)) is None
 
@@ -125,8 +117,7 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
 )
 def test_pieces_merge_when_seen_as_one_more_often_than_apart(together_s, apart_s, verdict):
     book = VoteBook().plus([(1, 2)], together_ns=round(together_s * SECOND_NS), apart_ns=round(apart_s * SECOND_NS))
-    pieces = track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1)))
-    assert found(book, *pieces) == verdict
+    assert found(book, *(track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1))))) == verdict
 
 
 def test_votes_of_things_that_do_not_even_touch_weld_nothing():
@@ -172,11 +163,14 @@ def test_points_on_another_track_count_and_a_cover_is_named():
     assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
 
 
-def test_points_that_lie_on_the_own_track_too_stay():
+def test_nothing_is_foreign_on_the_own_track_or_away_from_others():
     points = box_surface((0, 0, 0.1))
     foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, points)])
     assert not foreign.any()
     assert covered == [2]
+    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
+    assert not foreign.any()
+    assert covered == []
 
 
 def test_a_track_that_is_only_brushed_is_not_covered():
@@ -186,14 +180,7 @@ def test_a_track_that_is_only_brushed_is_not_covered():
     assert covered == []
 
 
-def test_nothing_is_foreign_where_no_other_track_is():
-    points = box_surface((0, 0, 0.1))
-    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
-    assert not foreign.any()
-    assert covered == []
-
-
-def two_tracks() -> tuple[Track, Track]:
+def two_tracks():
     kept = replace(
         track(1, box_surface((0, 0, 0.1)), sightings=4), first_seen_ns=3 * SECOND_NS, last_seen_ns=9 * SECOND_NS,
         seen_clock_ns=6, coverage=((2, view(3)),), best_view=view(4, score=0.3), merged_ids=(7,), seen_through_ns=2,
@@ -206,24 +193,14 @@ def two_tracks() -> tuple[Track, Track]:
     return kept, gone
 
 
-def test_a_merged_track_has_the_earliest_and_latest_stamps():
+def test_a_merged_track_has_stamps_points_and_best_views_of_both():
     kept, gone = two_tracks()
     one = merge(kept, gone, VOXEL_M)
     assert (one.id, one.merged_ids) == (1, (5, 6, 7))
     assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
     assert (one.seen_clock_ns, one.seen_through_ns) == (6, 1)
-
-
-def test_a_merged_track_has_the_points_of_both():
-    kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M)
     assert np.array_equal(one.cloud.keys, np.union1d(kept.cloud.keys, gone.cloud.keys))
     assert one.box.contains(one.cloud.points, VOXEL_M).all()
-
-
-def test_a_merged_track_has_the_better_view_of_every_sector():
-    kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M)
     assert (one.best_view.frame_index, one.best_view.score, one.best_view.object_id) == (6, 0.5, 1)
     assert [(sector, kept_view.frame_index) for sector, kept_view in one.coverage] == [(0, 5), (2, 6)]
     assert {kept_view.object_id for kept_view in one.views} == {1}

@@ -1,9 +1,7 @@
-"""An unsupported track belongs to the nearest other one, unless something supports it after all."""
-
 import numpy as np
 import pytest
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.observed_space import SpaceState, add, empty_space
+from hickory_stream.mapping.entities.observed_space import add, empty_space
 from hickory_stream.mapping.rules.support_graph import attachment_of
 from tests.mapping.mapping_fixtures import box_surface, space, track
 
@@ -11,7 +9,7 @@ POT = track(1, box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6)))
 BRANCH = track(2, box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12)))
 
 
-def room(*, free: bool = True, wall_x_m: float | None = None) -> SpaceState:
+def room(*, free=True, wall_x_m=None):
     """Return a room with its floor at 0; with the space around the branch seen free, with a wall."""
     steps = np.arange(-1.0, 1.0, 0.025)
     grid = np.stack(np.meshgrid(steps, steps, np.arange(0.1, 1.5, 0.025), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -29,8 +27,7 @@ def room(*, free: bool = True, wall_x_m: float | None = None) -> SpaceState:
 
 
 def test_a_branch_in_the_air_belongs_to_the_nearest_thing():
-    far = track(3, box_surface((0.8, 0.0, 0.3), (0.2, 0.2, 0.6)))
-    host = attachment_of(BRANCH, [POT, BRANCH, far], room())
+    host = attachment_of(BRANCH, [POT, BRANCH, track(3, box_surface((0.8, 0.0, 0.3), (0.2, 0.2, 0.6)))], room())
     assert host.id == POT.id
 
 

@@ -1,5 +1,3 @@
-"""Views that nothing refers to any more are found, also those that no count has seen in use."""
-
 from dataclasses import replace
 from hickory_stream.mapping.derived import ViewUse
 from hickory_stream.mapping.entities.track_table import TrackTable

@@ -54,8 +54,7 @@ def test_the_network_of_the_package_is_small(graph):
 
 def test_odds_are_told_at_half_the_size_of_the_surface(box_surface):
     surface, _ = box_surface
-    odds = PixelNetwork().odds(surface, None).odds
-    assert odds.shape == (NUM_OUTPUTS, 120, 160)
+    assert PixelNetwork().odds(surface, None).odds.shape == (NUM_OUTPUTS, 120, 160)
 
 
 def test_a_box_is_a_thing_and_the_floor_is_not(box_surface):

@@ -38,8 +38,7 @@ def masks_by(file, rgb, **config):
 
 def test_a_box_of_the_network_is_that_part_of_the_image(tmp_path):
     # 128 x 64 in 64 x 64: half the size, 16 rows of grey above and below.
-    file = graph(tmp_path / "a.onnx", [(32, 32, 32, 16)])
-    masks, _ = masks_by(file, np.zeros((64, 128, 3), np.uint8))
+    masks, _ = masks_by(graph(tmp_path / "a.onnx", [(32, 32, 32, 16)]), np.zeros((64, 128, 3), np.uint8))
     assert [m.box_px for m in masks] == [(32, 16, 96, 48)]
     assert masks[0].mask.all()
     assert masks[0].score == pytest.approx(0.9)
@@ -184,8 +183,7 @@ def test_masks_are_the_same_at_another_pose_of_the_frame(tmp_path):
 
 def test_a_network_that_gives_nan_leaves_geometry_and_says_so(tmp_path, caplog):
     frame, _ = box_scene()
-    file = graph(tmp_path / "a.onnx", [(np.nan, 30, 20, 20)])
-    result = segmenter_of(file).segment(frame)
+    result = segmenter_of(graph(tmp_path / "a.onnx", [(np.nan, 30, 20, 20)])).segment(frame)
     assert result.instances.max() == 1
     assert result.rejected[-1].reason == "1 detections of the network are not finite"
     assert "NaN" in caplog.text

@@ -1,8 +1,5 @@
-"""Image-text networks: their files, what goes into the graphs, and what is refused."""
-
 import json
 import shutil
-from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.errors import ModelError
@@ -15,7 +12,7 @@ CPU = NetworkConfig(provider="cpu", warm_up=False, threads=1)
 BLUE = np.full((30, 50, 3), (10, 10, 240), np.uint8)
 
 
-def opened(folder: Path) -> ImageTextNetwork:
+def opened(folder):
     files = published_files(folder)
     return ImageTextNetwork(
         Network(files["vision"], CPU), Network(files["text"], CPU), tokenizer=files["tokenizer"],

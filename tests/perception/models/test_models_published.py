@@ -1,5 +1,3 @@
-"""Weights from a server that breaks off, answers with errors or serves something else, and from a folder."""
-
 import hashlib
 import http.server
 import threading

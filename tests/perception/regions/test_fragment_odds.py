@@ -34,8 +34,7 @@ def test_the_mean_odds_of_two_halves_are_those_of_their_pixels():
 
 
 def test_pairs_of_pixels_are_counted_by_the_networks_certainty():
-    bytes_of_levels = (ODDS_ZERO - 3 * ODDS_UNIT, ODDS_ZERO - 1, ODDS_ZERO, ODDS_ZERO + 2 * ODDS_UNIT)
-    for i, byte in enumerate(bytes_of_levels):
+    for i, byte in enumerate((ODDS_ZERO - 3 * ODDS_UNIT, ODDS_ZERO - 1, ODDS_ZERO, ODDS_ZERO + 2 * ODDS_UNIT)):
         levels = fragment_odds(halves(), constant_odds(32, 32, byte - ODDS_ZERO)).levels[0]
         assert (levels[:, i] > 0).all()
         assert (np.delete(levels, i, axis=1) == 0).all()
@@ -50,8 +49,7 @@ def test_every_pair_of_pixels_across_a_seam_counts_once():
         here = few[: 32 - dy, max(0, -dx) : 32 - max(0, dx)]
         there = few[dy:, max(0, dx) : 32 + min(0, dx)]
         expected += int((here != there).sum())
-    counts = odds.levels.sum(axis=2)
-    assert counts[0].sum() == odds.sums.sum() == expected
+    assert odds.levels.sum(axis=2)[0].sum() == odds.sums.sum() == expected
     within = sum(int((few[: 32 - d] == few[d:]).sum() + (few[:, : 32 - d] == few[:, d:]).sum()) for d in DISTANCES_PX)
     assert expected < within < odds.num_inner.sum()
 

@@ -1,5 +1,3 @@
-"""Overlapping masks of a network are evidence: geometry decides where they disagree, and they where it is unsure."""
-
 import numpy as np
 import pytest
 from hickory_stream.errors import ModelError

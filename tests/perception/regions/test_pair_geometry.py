@@ -1,5 +1,3 @@
-"""How two regions of a pair lie to each other, worked out by hand."""
-
 from dataclasses import fields, replace
 import numpy as np
 from hickory_stream.perception.regions.ordered_pairs import pair_geometry

@@ -1,5 +1,3 @@
-"""How pieces stand, counted in masks of the image."""
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -52,8 +52,7 @@ def test_saved_trees_are_loaded_as_they_were(tmp_path):
 
 @pytest.mark.parametrize(("forest", "file"), EMBEDDED.items())
 def test_the_trees_of_the_package_are_whole_and_small(request, forest, file):
-    trees = embedded_trees(forest)
-    assert len(trees.roots) >= 50
+    assert len(embedded_trees(forest).roots) >= 50
     path = request.config.rootpath / "hickory_stream" / "perception" / file
     assert path.stat().st_size < 8e6
 

@@ -1,5 +1,3 @@
-"""Steps of the detection of walls against their definitions."""
-
 from dataclasses import replace
 import numpy as np
 from hypothesis import given
@@ -62,8 +60,7 @@ def test_along_is_an_inner_product_and_azimuths_split_evenly(seed, count, column
     rows, angle = numbers(seed, count, columns), seed % 360 / 57.3
     direction = np.array([np.cos(angle), np.sin(angle)], dtype=np.float32)
     assert np.allclose(detection._along(rows, direction), rows[:, :2] @ direction, atol=1e-6)
-    bins = detection._bins_of_azimuth(rows, 12)
-    middles = (bins + 0.5) / 12 * 2 * np.pi - np.pi
+    middles = (detection._bins_of_azimuth(rows, 12) + 0.5) / 12 * 2 * np.pi - np.pi
     towards = rows[:, 0] * np.cos(middles) + rows[:, 1] * np.sin(middles)
     assert (towards >= np.linalg.norm(rows[:, :2], axis=1) * np.cos(np.pi / 12) - 1e-6).all()
 

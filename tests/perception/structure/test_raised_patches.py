@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.structure.raised_patches import NearPlane, raised_patches
 from hickory_stream.perception.surface import Surface, lab_of
@@ -11,7 +10,7 @@ PATCH, BOARDS = np.s_[20:40, 20:50], (np.s_[16:44, 14:20], np.s_[14:20, 20:50])
 WOOD, PAINT = (120, 80, 40), (200, 205, 210)
 
 
-def scene(*, noise_m: float = 0.01, patch_rgb: tuple[int, int, int] = WOOD, held: bool = True) -> Surface:
+def scene(*, noise_m=0.01, patch_rgb=WOOD, held=True):
     rgb = np.full((*SHAPE, 3), PAINT, dtype=np.uint8)
     rgb[PATCH] = patch_rgb
     for board in BOARDS if held else ():
@@ -24,27 +23,27 @@ def scene(*, noise_m: float = 0.01, patch_rgb: tuple[int, int, int] = WOOD, held
     )  # fmt: skip
 
 
-def distances(off_m: float, noise_m: float = 0.01) -> NDArray[np.float32]:
+def distances(off_m, noise_m=0.01):
     out = np.random.default_rng(3).normal(0, noise_m, SHAPE)
     out[PATCH] += off_m
     return out.astype(np.float32)
 
 
-def structure_of(*, held: bool = True) -> NDArray[np.bool_]:
+def structure_of(*, held=True):
     mask = np.ones(SHAPE, dtype=bool)
     for board in BOARDS if held else ():
         mask[board] = False
     return mask
 
 
-def patch_share(found: NDArray[np.bool_]) -> tuple[float, float]:
+def patch_share(found):
     """Return which shares of the patch and of the rest were found."""
     inside = np.zeros(SHAPE, dtype=bool)
     inside[PATCH] = True
     return float(found[inside].mean()), float(found[~inside].mean())
 
 
-def found_in(surface: Surface, off_m: float, *, held: bool = True, is_floor: bool = False) -> NDArray[np.bool_]:
+def found_in(surface, off_m, *, held=True, is_floor=False):
     structure = structure_of(held=held)
     plane = NearPlane(distance_m=distances(off_m, float(surface.sigma_m[0, 0])), near=structure, is_floor=is_floor)
     return raised_patches([plane], structure, surface)

@@ -1,5 +1,3 @@
-"""ROS 2 over DDS: frames of a robot in another process, through Cyclone itself, on the loopback address."""
-
 import json
 import os
 import subprocess

@@ -93,8 +93,7 @@ def test_odd_definitions_of_a_channel_do_no_harm():
         assert topics["/image"].foreign_type == "foxglove.CompressedImage"
         assert topics["/image"].definition == "\n\0"
         assert route.health().problem == "/thing is published as acme_msgs/msg/Other, too; the server says: too slow"
-        taken = inbox.take(2.0)
-        assert bytes(taken.data) == b"payload"
+        assert bytes(inbox.take(2.0).data) == b"payload"
         route.stop()
 
 

@@ -25,8 +25,7 @@ def test_a_flood_of_images_drops_the_oldest_images_and_no_pose():
         inbox.put(IMAGE_TOPIC.name, bytes([i]) * 100)
         inbox.put(POSE_TOPIC.name, bytes([i]) * 100)
     taken = [message for _ in range(60) if (message := inbox.take(0)) is not None]
-    images = [message.data[0] for message in taken if message.topic == IMAGE_TOPIC.name]
-    assert images == list(range(40, 50))
+    assert [message.data[0] for message in taken if message.topic == IMAGE_TOPIC.name] == list(range(40, 50))
     assert [message.data[0] for message in taken if message.topic == POSE_TOPIC.name] == list(range(50))
     assert inbox.arrivals[IMAGE_TOPIC.name].fates["queue_full"] == 40
     assert inbox.arrivals[IMAGE_TOPIC.name].num_received == 50
@@ -53,8 +52,7 @@ def test_a_route_that_can_wait_loses_nothing():
             inbox.put(IMAGE_TOPIC.name, bytes([i]) * 100, waits=True)
         inbox.close()
 
-    thread = Thread(target=send, daemon=True)
-    thread.start()
+    Thread(target=send, daemon=True).start()
     taken = []
     while not inbox.is_over:
         message = inbox.take(5.0)
@@ -90,14 +88,12 @@ def test_the_status_says_rates_ages_and_what_is_wrong():
     clock.now_ns += 500_000_000
     log = LiveLog(route, inbox)
     log.roles = {IMAGE_TOPIC.name: "color"}
-    status = status_of(route, log)
-    color = next(entry for entry in status.topics if entry.role == "color")
+    color = next(entry for entry in status_of(route, log).topics if entry.role == "color")
     assert (color.rate_hz, color.bytes_per_s, color.received, color.lost) == (10.0, 10_000, 60, 3)
     assert color.age_s == 0.6
     assert color.problem == "3 lost on the way"
     clock.now_ns += 10_000_000_000
-    later = status_of(route, log)
-    told = {entry.role: entry.problem for entry in later.topics}
+    told = {entry.role: entry.problem for entry in status_of(route, log).topics}
     assert told == {"color": "silent for 11 s", "tf": told["tf"]}
     assert "sent once" in told["tf"]
     inbox.withdraw(IMAGE_TOPIC.name)

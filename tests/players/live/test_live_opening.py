@@ -1,5 +1,3 @@
-"""A live route is opened when all that mapping needs has come, and says what it waits for until then."""
-
 import time
 from dataclasses import replace
 import numpy as np
@@ -118,8 +116,7 @@ def test_topics_are_reported_as_they_appear():
 
 
 def test_a_route_that_gives_nothing_says_what_is_missing():
-    topics = [packet.topic for packet in scene_packets()]
-    route = ScriptedRoute(announced=topics)
+    route = ScriptedRoute(announced=[packet.topic for packet in scene_packets()])
     with pytest.raises(RecordingError, match=r"image_rect.* holds no image.*waited 0\.2 s for script://robot"):
         opened(route, patience_s=0.2)
     assert route.state.problem == "stopped"
@@ -177,8 +174,7 @@ def test_a_clock_that_is_set_back_a_little_is_found(back_s):
 def test_doubled_and_reordered_messages_are_counted():
     packets = scene_packets(12)
     swapped = [packets[i ^ 1] if (i ^ 1) < len(packets) else packets[i] for i in range(len(packets))]
-    doubled = [packet for i, packet in enumerate(swapped) for _ in range(1 + (i % 5 == 0))]
-    route, source = ended(doubled)
+    route, source = ended([packet for i, packet in enumerate(swapped) for _ in range(1 + (i % 5 == 0))])
     stamps = [frame.stamp_ns for frame in source.frames()]
     assert stamps == sorted(set(stamps))
     assert len(stamps) == 12
@@ -221,11 +217,9 @@ def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are():
     ]
     ordered = sorted([*packets, *depth], key=lambda packet: packet.stamp_ns)
     second_ns, pose_ns = frames[1].stamp_ns, frames[1].stamp_ns + 20_000_000
-    route = ScriptedRoute(at_start=[packet for packet in ordered if packet.stamp_ns <= pose_ns])
-    source = opened(route)
+    source = opened(ScriptedRoute(at_start=[packet for packet in ordered if packet.stamp_ns <= pose_ns]))
     reading = source.frames()
-    stamps = [next(reading).stamp_ns, next(reading).stamp_ns]
-    assert stamps == [frames[0].stamp_ns, second_ns]
+    assert [next(reading).stamp_ns, next(reading).stamp_ns] == [frames[0].stamp_ns, second_ns]
     source.close()
 
 
@@ -233,8 +227,7 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch):
     monkeypatch.setattr("players.logs.log_source._FORGET_EVERY", 50)
     odometry = next(packet for packet in scene_packets() if packet.topic.name == "/odom")
     route = ScriptedRoute(at_start=scene_packets())
-    source = opened(route)
-    frames = source.frames()
+    frames = opened(route).frames()
     next(frames)
     readers = []
     forget = PoseReader.forget_older
@@ -285,8 +278,7 @@ def test_the_camera_decides_between_robots_with_equal_frames():
     theirs = [p for p in of("/b3", 50.0) if "/cam/" not in p.topic.name and "tf_static" not in p.topic.name]
     tf = next(packet for packet in ours if packet.topic.name.endswith("tf_static"))
     theirs.append(replace(tf, topic=replace(tf.topic, name="/b3/tf_static")))
-    ordered = sorted([*ours, *theirs], key=lambda packet: packet.stamp_ns)
-    for packets in (ordered, [*theirs, *ours]):
+    for packets in (sorted([*ours, *theirs], key=lambda packet: packet.stamp_ns), [*theirs, *ours]):
         route, source = ended(packets)
         frames = list(source.frames())
         assert len(frames) == 12

@@ -1,5 +1,3 @@
-"""What is estimated from a log is not estimated from a robot that is heard: refused before anything is connected."""
-
 import pytest
 from hickory_stream.errors import RecordingError
 from players import SourceOptions

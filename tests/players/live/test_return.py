@@ -1,5 +1,3 @@
-"""The way back: what is published over a link arrives at the robot, again when that comes back, and its goals here."""
-
 from contextlib import contextmanager
 from threading import Event, Thread
 import numpy as np

@@ -1,5 +1,3 @@
-"""ZED cameras by the SDK: the same frames as the scene that the fake SDK plays; what is missing is said in a line."""
-
 import inspect
 from types import SimpleNamespace
 import numpy as np
@@ -24,8 +22,7 @@ def svo(tmp_path):
 
 
 def test_the_fake_module_has_only_names_of_the_sdk():
-    sl = fake_sl()
-    for owner, made in vars(sl).items():
+    for owner, made in vars(fake_sl()).items():
         if owner == "opened":
             continue
         published = PUBLISHED[owner]

@@ -1,5 +1,3 @@
-"""ROS 2 over Zenoh, in the layouts of the bridge and of rmw_zenoh, through a real router on the loopback address."""
-
 import socket
 from contextlib import closing
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Steps of the clock: four topics of a robot, whose clock is set in the middle of four seconds."""
-
 import random
 from types import SimpleNamespace
 import pytest
@@ -46,8 +44,7 @@ def _numbered(messages):
 @pytest.mark.parametrize("back_s", [0.1, 0.3, 0.8, 3.0, 60.0])
 def test_a_step_back_divides_every_topic_where_it_happens(back_s, with_log):
     clock, numbers = _numbered(_stream(_set(-round(back_s * S), with_log=with_log)))
-    wrong = {key for key, number in numbers.items() if number != (key[1] >= MIDDLE)}
-    assert len(wrong) <= (4 if with_log else 0)
+    assert len({key for key, number in numbers.items() if number != (key[1] >= MIDDLE)}) <= (4 if with_log else 0)
     assert list(clock.texts.values()) == [False]
     assert f"clock was set back by {back_s:.2f} s" in next(iter(clock.texts))
 
@@ -143,6 +140,5 @@ def test_delays_and_single_stamps_are_no_steps(delay):
 def test_a_file_in_no_order_of_time_has_no_steps():
     messages = _stream()
     chunks = [messages[i : i + 30] for i in range(0, len(messages), 30)]
-    by_topic = [timed for chunk in chunks for timed in sorted(chunk, key=lambda t: (t.topic, t.log_ns))]
-    clock, _ = _numbered(by_topic)
+    clock, _ = _numbered([timed for chunk in chunks for timed in sorted(chunk, key=lambda t: (t.topic, t.log_ns))])
     assert clock.texts == {}

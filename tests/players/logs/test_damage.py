@@ -1,5 +1,3 @@
-"""A seeded sample of damaged logs; `tools/bench damage` has the whole."""
-
 import pytest
 from players import open_source
 from tests import player_scenes as scenes

@@ -178,8 +178,7 @@ def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size
     def resize(message):
         i = (message.stamp_ns - scenes.START_NS) // scenes.PERIOD_NS
         depth_mm = cv2.resize(TRUTH[i].depth_mm, size, interpolation=cv2.INTER_NEAREST)
-        image = M.image(message.stamp_ns, scenes.OPTICAL, "16UC1", depth_mm)
-        return replace(message, message=image)
+        return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "16UC1", depth_mm))
 
     log = [m for m in _changed(scenes.RAW_DEPTH, resize, RAW_LOG) if m.topic != "/cam/aligned_depth/camera_info"]
     frame = next(_open(tmp_path, log).frames()).decode()
@@ -229,8 +228,7 @@ def test_a_flipped_byte_costs_the_frames_of_its_chunk_only(tmp_path):
     data = bytearray(log.read_bytes())
     data[len(data) // 2] ^= 0xFF
     log.write_bytes(bytes(data))
-    source = open_source(log)
-    frames = list(source.frames())
+    frames = list(open_source(log).frames())
     assert len(TRUTH) - 2 <= len(frames) < len(TRUTH)
     for frame in frames:
         truth = next(t for t in TRUTH if t.stamp_ns == frame.stamp_ns)

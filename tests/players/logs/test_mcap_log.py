@@ -46,8 +46,7 @@ def test_several_channels_of_one_topic_are_one_topic(tmp_path):
         writer.start(profile="ros2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         for node in ("a", "b"):
-            channel = writer.register_channel("/chat", "cdr", schema, {"node": node})
-            writer.add_message(channel, 1, b"", 1)
+            writer.add_message(writer.register_channel("/chat", "cdr", schema, {"node": node}), 1, b"", 1)
         writer.finish()
     log = McapLog(path)
     assert [(topic.name, topic.num_messages) for topic in log.topics] == [("/chat", 2)]

@@ -1,5 +1,3 @@
-"""Replica and HOPE folders, compressed ROS 2 bags, pose files."""
-
 import json
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-"""Several robots in one log, and links of TF with faults: each with the poses that are right, and the report."""
-
 from dataclasses import replace
 import numpy as np
 import pytest
@@ -274,8 +272,7 @@ def test_a_constant_link_or_one_odd_stamp_sets_no_clock(tmp_path, stamp_ns):
 
 def test_a_clock_set_back_in_the_middle_keeps_every_pose(tmp_path):
     names = ("/odom", scenes.PNG_COLOR, scenes.PNG_DEPTH)
-    late = [m for m in BY_ODOMETRY if m.stamp_ns >= MIDDLE]
-    back = _sim_time(late, names, scenes.START_NS - 400 * MS)
+    back = _sim_time([m for m in BY_ODOMETRY if m.stamp_ns >= MIDDLE], names, scenes.START_NS - 400 * MS)
     source = _source(tmp_path, [*[m for m in BY_ODOMETRY if m.stamp_ns < MIDDLE], *back])
     frames = list(source.frames())
     assert [f.stamp_ns for f in frames] == [f.stamp_ns - 400 * MS * (f.stamp_ns >= MIDDLE) for f in TRUTH]
@@ -286,8 +283,7 @@ def test_a_clock_set_back_in_the_middle_keeps_every_pose(tmp_path):
 
 
 def test_poses_stamped_half_a_second_early_are_noted(tmp_path):
-    messages = _sim_time(BY_ODOMETRY, ("/odom",), scenes.START_NS - 500 * MS)
-    scenes.write_mcap(tmp_path / "log.mcap", M, messages)
+    scenes.write_mcap(tmp_path / "log.mcap", M, _sim_time(BY_ODOMETRY, ("/odom",), scenes.START_NS - 500 * MS))
     notes = examine([tmp_path / "log.mcap"], SourceOptions()).notes
     assert any(note.startswith("/odom: by log time its stamps are 0.5 s behind the images'") for note in notes)
 

@@ -65,8 +65,7 @@ def test_the_order_of_arrival_does_not_matter(colors, depths, tolerance, random,
 @given(stamps, stamps, tolerances)
 def test_colour_and_depth_are_treated_alike(colors, depths, tolerance):
     there = _pairs(_images(colors, depths), tolerance)
-    back = _pairs(_images(depths, colors), tolerance)
-    assert there == [(c, d) for d, c in back]
+    assert there == [(c, d) for d, c in _pairs(_images(depths, colors), tolerance)]
 
 
 def test_thirty_colour_images_with_ten_of_depth_make_ten_pairs():
@@ -98,8 +97,7 @@ def test_a_silent_stream_does_not_make_the_other_pile_up():
 
 def test_an_image_after_its_neighbours_were_decided_is_late():
     images = [Stamped(stream, i * 100 * MS, i) for i in range(20) for stream in ("color", "depth")]
-    late = Stamped("color", 50 * MS, "late")
-    matches = list(pair_nearest([*images, late], 50 * MS))
+    matches = list(pair_nearest([*images, Stamped("color", 50 * MS, "late")], 50 * MS))
     assert [match.item for match in matches if isinstance(match, Leftover) and match.is_late] == ["late"]
     assert sum(isinstance(match, Pair) for match in matches) == 20
 
@@ -127,8 +125,7 @@ def test_live_images_of_one_stamp_are_paired_at_once():
             decided += [match]
         return [*seen, decided]
 
-    in_order = [image(stream, at) for at in (0, 33, 66) for stream in ("color", "depth")]
-    *seen, decided = come(*in_order, None)
+    *seen, decided = come(*[image(stream, at) for at in (0, 33, 66) for stream in ("color", "depth")], None)
     assert seen == [0, 0, 1, 1, 2, 2, 3]
     assert [match and match.stamp_ns // 1_000_000 for match in decided] == [0, 33, 66, None]
     # Depth that was 33 ms late once costs a pair, and is given that time from then on.

@@ -39,8 +39,7 @@ def _coded(images, codec, pixels, **options):
         if image is not None:
             given = "rgb24" if image.ndim == 3 else pixels
             frame = av.VideoFrame(image.shape[1], image.shape[0], given)
-            plane = np.frombuffer(frame.planes[0], dtype=image.dtype)
-            rows = plane.reshape(image.shape[0], -1)
+            rows = np.frombuffer(frame.planes[0], dtype=image.dtype).reshape(image.shape[0], -1)
             rows[:, : image[0].size] = image.reshape(image.shape[0], -1)
             frame = frame if given == pixels else frame.reformat(format=pixels)
             frame.pts = i
@@ -98,8 +97,7 @@ def _error(log):
 @pytest.mark.parametrize("name", CODED)
 @pytest.mark.parametrize("make", [_compressed_image, _compressed_video, _packet])
 def test_video_is_the_colour_of_its_frames(tmp_path, name, make):
-    packets = CODED[name]([frame.rgb for frame in FRAMES])
-    log = _log(tmp_path, make, packets, name.split()[0])
+    log = _log(tmp_path, make, CODED[name]([frame.rgb for frame in FRAMES]), name.split()[0])
     errors = _error(log)
     # Consecutive frames differ by more.
     assert len(errors) == len(FRAMES)

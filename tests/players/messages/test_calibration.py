@@ -101,8 +101,7 @@ def _pinhole(info, image_size, *, is_rectified=False):
     ],
 )
 def test_images_are_regions_of_the_sensor_binned_or_resized(binning, region, image_size, expected):
-    info = replace(_info(()), binning=binning, region=region)
-    assert _pinhole(info, image_size) == pytest.approx(expected)
+    assert _pinhole(replace(_info(()), binning=binning, region=region), image_size) == pytest.approx(expected)
 
 
 def test_a_rectified_region_is_of_p():

@@ -1,5 +1,3 @@
-"""Encodings that need more than a cast: YUV, Bayer, inverse depth, RVL, Foxglove's messages."""
-
 import base64
 import json
 import struct
@@ -137,15 +135,13 @@ def test_inverse_depth_without_its_parameters_is_refused(parameters):
 
 @given(arrays(np.uint16, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(0, 65535)))
 def test_rvl_is_lossless(pixels):
-    decoded = decode_rvl(encode_rvl(pixels), pixels.size)
-    np.testing.assert_array_equal(decoded, pixels.ravel())
+    np.testing.assert_array_equal(decode_rvl(encode_rvl(pixels), pixels.size), pixels.ravel())
 
 
 def test_rvl_of_three_pixels_is_what_the_paper_says():
     # No zeros, three values: +5 (zigzag 10 = nibbles 2|8, 1), 0 (0), -1 (1); runs 0 and 3.
     word = int("03A10100"[:8], 16)
-    decoded = decode_rvl(struct.pack("<I", word), 3)
-    assert decoded.tolist() == [5, 5, 4]
+    assert decode_rvl(struct.pack("<I", word), 3).tolist() == [5, 5, 4]
 
 
 @given(st.binary(max_size=80))
@@ -269,8 +265,7 @@ def _foxglove_log(path, frames, encoding):
 @pytest.mark.parametrize("encoding", ["protobuf", "json"])
 def test_foxgloves_messages_are_the_same_frames(tmp_path, encoding):
     truth = scenes.make_scene()
-    log = _foxglove_log(tmp_path / "fox.mcap", truth, encoding)
-    source = open_source(log, SourceOptions(pose_frame="cam"))
+    source = open_source(_foxglove_log(tmp_path / "fox.mcap", truth, encoding), SourceOptions(pose_frame="cam"))
     frames = list(source.frames())
     assert [frame.stamp_ns for frame in frames] == [frame.stamp_ns for frame in truth]
     for raw, true in zip(frames, truth, strict=True):

@@ -1,5 +1,3 @@
-"""Random rooms: families that share nothing, solid shapes, frames whose labels, depth and colour belong together."""
-
 import dataclasses
 from itertools import combinations
 import numpy as np
@@ -65,8 +63,7 @@ def test_every_shape_is_closed_solids_on_its_base(name):
             assert is_closed(as_mesh(part))
             assert volume_m3(as_mesh(part)) > 0
         assert model.bounds_m()[0, 2] == pytest.approx(0.0, abs=1e-6)
-        extent = np.ptp(model.bounds_m(), axis=0).max()
-        assert 0.03 < extent < 3.2
+        assert 0.03 < np.ptp(model.bounds_m(), axis=0).max() < 3.2
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +72,7 @@ def frames():
 
 
 def test_equal_seeds_give_equal_frames_and_prefixes(frames):
-    again = list(frames_of(3, "training", 2, width=96, height=72))
-    for one, other in zip(frames, again, strict=False):
+    for one, other in zip(frames, list(frames_of(3, "training", 2, width=96, height=72)), strict=False):
         for name in ("rgb", "depth_m", "instances", "is_structure", "world_from_camera"):
             assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name == "depth_m")
 
@@ -177,8 +173,7 @@ def test_nothing_stands_within_another_thing(family):
 
 def test_a_thing_comes_to_rest_on_the_heap_below_it():
     rng = np.random.default_rng(1)
-    model = SHAPES["carton"](rng, MATERIALS["cardboard"])
-    placed = heap(rng, [model] * 6, (0.1, 0.1))
+    placed = heap(rng, [SHAPES["carton"](rng, MATERIALS["cardboard"])] * 6, (0.1, 0.1))
     lows = [float(min((p.vertices @ pose[2, :3]).min() for p in m.parts)) + float(pose[2, 3]) for m, pose in placed]
     assert lows[0] == pytest.approx(0.0005, abs=0.004)
     assert all(low > -0.004 for low in lows)

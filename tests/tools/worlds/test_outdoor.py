@@ -1,5 +1,3 @@
-"""A street is uneven ground with things that stand on it, a way round, and a sky without depth."""
-
 from collections import Counter
 from itertools import pairwise
 import numpy as np

@@ -58,8 +58,7 @@ def test_an_apartment_has_25_to_45_objects_of_at_least_20_kinds(apartments):
 
 def test_a_table_top_has_10_to_20_things_on_its_table():
     for seed in SEEDS:
-        world = tabletop(seed)
-        table, *things = world.objects
+        table, *things = tabletop(seed).objects
         assert table.model.kind == "table"
         assert 10 <= len(things) <= 20
         top = table.world_from_object[2, 3] + table.model.surfaces[0].center_m[2]
@@ -103,8 +102,7 @@ def test_one_can_walk_into_every_room_and_the_two_walks_differ(apartments):
 
 
 def test_an_orbit_looks_down_at_the_table_from_every_side():
-    world = tabletop(5)
-    walk = orbit(world, None, 0, np.random.default_rng(1))
+    walk = orbit(tabletop(5), None, 0, np.random.default_rng(1))
     eyes, forward = walk.world_from_camera[:, :3, 3], walk.world_from_camera[:, :3, 2]
     assert (forward[:, 2] < -0.2).all()
     angles = np.unwrap(np.arctan2(eyes[:, 1], eyes[:, 0]))

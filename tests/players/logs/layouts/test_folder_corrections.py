@@ -1,5 +1,3 @@
-"""Corrections of a profile hold for every layout: unit of depth, axes of the camera, offsets of time."""
-
 import numpy as np
 import pytest
 from players import SourceOptions, open_source

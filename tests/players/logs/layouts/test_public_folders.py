@@ -1,5 +1,3 @@
-"""Folders of public data sets as their writers make them, whole and damaged."""
-
 import json
 import numpy as np
 import pytest
@@ -38,8 +36,7 @@ def write(layout, folder):
 
 
 def true_poses(layout):
-    frames = scenes.make_scene()
-    return [frame.world_from_camera for i, frame in enumerate(frames) if i != UNPOSED.get(layout)]
+    return [frame.world_from_camera for i, frame in enumerate(scenes.make_scene()) if i != UNPOSED.get(layout)]
 
 
 @pytest.fixture(params=FOLDER_LOGS)
@@ -73,8 +70,7 @@ def test_poses_are_true_and_the_world_is_upright(written):
 
 def test_images_are_the_scene_in_metres(written):
     layout, folder = written
-    source = open_source(folder)
-    for raw, pose in zip(source.frames(), true_poses(layout), strict=True):
+    for raw, pose in zip(open_source(folder).frames(), true_poses(layout), strict=True):
         frame = raw.decode()
         rgb, depth = scenes.cast(camera_of(layout), pose)
         np.testing.assert_allclose(
@@ -197,8 +193,7 @@ def test_intrinsics_of_bop_may_differ_by_image(tmp_path):
     del table["2"]
     file.write_text(json.dumps(table))
     source = open_source(folder)
-    centers = [raw.camera.cx for raw in source.frames()]
-    np.testing.assert_allclose(centers, [39.5, 42.5, 39.5, 39.5, 39.5])
+    np.testing.assert_allclose([raw.camera.cx for raw in source.frames()], [39.5, 42.5, 39.5, 39.5, 39.5])
     assert source.ledger() == {"frames": 5, "no_intrinsics": 1}
 
 
