@@ -13,13 +13,17 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numba
 import numpy as np
+from llvmlite import binding
 from numba.core import event
+from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.runtime import rtsys
 
 from hickory_stream.base import compiling
 from hickory_stream.base.caches import cache_folder, cache_root, mark_used, wanted_root
@@ -80,8 +84,61 @@ def kernel(
     `error_model` "numpy" divides by zero without an error, which lets the compiler vectorise. `parallel` spreads loops
     over `numba.prange` over threads.
     """
-    compiled = numba.njit(cache=True, nogil=True, error_model=error_model, parallel=parallel)
-    return compiled if function is None else compiled(function)
+    if function is None:
+        return lambda function: kernel(function, error_model=error_model, parallel=parallel)
+    compiled = numba.njit(nogil=True, error_model=error_model, parallel=parallel)(function)
+    if not numba.config.DISABLE_JIT:
+        compiled._cache = _KernelCache(function)
+    return compiled
+
+
+class _KernelCache:
+    """numba's cache of a kernel, opened at its first call, which loads nothing that only a compiler needs.
+
+    numba imports all of its implementations before it loads a kernel. It does so again before it compiles one.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    @cached_property
+    def _opened(self) -> Any:
+        return FunctionCache(self._function)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Return a cached kernel; None if there is none."""
+        rtsys.initialize(context)
+        context.codegen().unserialize_library = partial(_LoadedLibrary.unserialized, context.codegen())
+        return self._opened._load_overload(signature, context)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._opened, name)
+
+
+class _LoadedLibrary(JITCodeLibrary):  # type: ignore[misc] # numba has no types
+    """Machine code of a cached kernel; its bitcode is parsed when a kernel is compiled that calls it."""
+
+    @classmethod
+    def unserialized(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
+        """Return a library from its cached state; the machine code is ready."""
+        name, kind, data = state
+        if kind != "object":
+            return codegen._library_class._unserialize(codegen, state)
+        loaded = cls(codegen, name)
+        machine_code, loaded._bitcode = data
+        loaded.enable_object_caching()
+        loaded._set_compiled_object(machine_code)
+        loaded._finalize_final_module()
+        return loaded
+
+    def _get_module_for_linking(self) -> Any:
+        if not hasattr(self, "_parsed"):
+            self._parsed = binding.parse_bitcode(self._bitcode)
+            self._codegen._engine._load_defined_symbols(self._parsed)
+        return self._parsed
+
+    def get_pointer_to_function(self, name: str) -> Any:
+        return self._codegen._engine.get_function_address(name)
 
 
 @cache

@@ -19,7 +19,6 @@ from hickory_stream.graph.solution import NoSolution
 from hickory_stream.loops.config import MIN_AGREEING_POINTS, LoopConfig
 from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
 from hickory_stream.loops.predictions import predictions
-from hickory_stream.loops.search import LoopQuery, search_loops
 from hickory_stream.loops.surfaces import Surfaces
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.records import Loop
@@ -106,6 +105,9 @@ class LoopCloser:
         if isinstance(predicted, NoSolution):
             logger.warning("loops of submap %d are not searched: %s", later_id, predicted.reason)
             return ()
+        # Imports all of alignment, which a run without loops does not need.
+        from hickory_stream.loops.search import LoopQuery, search_loops
+
         query = LoopQuery(
             later_id=later_id,
             surfaces=Surfaces(submaps),

@@ -52,6 +52,11 @@ class Camera:
         return Camera(width=x1 - x0, height=y1 - y0, fx=self.fx, fy=self.fy, cx=self.cx - x0, cy=self.cy - y0)
 
 
+def whole_reduction(width_px: int) -> int:
+    """Return the factor that reduces images of a width to about 640 pixels, for which settings in pixels are made."""
+    return max(1, round(width_px / 640))
+
+
 def backproject(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Return (H, W, 3) float32 camera points of a depth image; NaN where there is no return."""
     u = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)

@@ -41,6 +41,7 @@ _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
 _LEAST, _MOST = int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max)
 _UNCHANGED = {types.NoneType, bool, float, str, bytes}
+_AS_IS = {*_UNCHANGED, int}
 _DAMAGE = (
     *(cbor2.CBORError, TypeError, ValueError, KeyError, IndexError, AttributeError),
     *(OverflowError, RecursionError, MemoryError),
@@ -137,7 +138,7 @@ def encode_array(array: NDArray[Any]) -> bytes:
 
 def _plain(value: Any, parts: PartStore | None) -> Any:
     kind: type = type(value)
-    if kind in _UNCHANGED or kind is int:
+    if kind in _AS_IS:
         return value
     if isinstance(value, np.ndarray):
         if parts is None or value.nbytes < _PART_BYTES:
@@ -145,7 +146,7 @@ def _plain(value: Any, parts: PartStore | None) -> Any:
         # With its length, which is often needed without the content.
         return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
     if kind is tuple or kind is list:
-        return [_plain(item, parts) for item in value]
+        return [item if type(item) in _AS_IS else _plain(item, parts) for item in value]
     if _names_of(kind) is not None:
         if parts is None or not parts.is_part(value):
             return _record_tag(value, parts)
@@ -170,7 +171,9 @@ def _plain(value: Any, parts: PartStore | None) -> Any:
 
 def _record_tag(value: Any, parts: PartStore | None) -> cbor2.CBORTag:
     kind: type = type(value)
-    fields = {name: _plain(getattr(value, name), parts) for name in _names_of(kind) or ()}
+    fields = {name: getattr(value, name) for name in _names_of(kind) or ()}
+    # Half of all values need no look.
+    fields |= {name: _plain(item, parts) for name, item in fields.items() if type(item) not in _AS_IS}
     return cbor2.CBORTag(_RECORD, [kind.__name__, fields])
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.camera import whole_reduction
 from hickory_stream.geometry.portable_kernels import arctan2
 from hickory_stream.perception.surface import lab_of
 from hickory_stream.records import MaskFeature, Observation
@@ -89,11 +90,15 @@ class ColorTextureDescriptor:
     def uncentered(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the unit-norm features (h, w, 30) before the mean is subtracted: square roots of histograms."""
         height, width, _ = rgb.shape
-        rows, columns = -(-height // self.patch_px), -(-width // self.patch_px)
-        bottom, right = rows * self.patch_px - height, columns * self.patch_px - width
+        # In a larger image, patches side by side share the feature of one patch of the same part of the view.
+        shared = whole_reduction(width)
+        side = shared * self.patch_px
+        rows, columns = -(-height // side), -(-width // side)
+        bottom, right = rows * side - height, columns * side - width
         padded = cv2.copyMakeBorder(rgb, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
         # Half the resolution takes a quarter of the time, and a patch still has 49 pixels.
-        small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        size = columns * side // (2 * shared), rows * side // (2 * shared)
+        small = cv2.resize(padded, size, interpolation=cv2.INTER_AREA)
         lab = lab_of(small)
         light = np.ascontiguousarray(lab[..., 0])
         # Angles are computed in separate loops, which are vectorised.
@@ -103,7 +108,10 @@ class ColorTextureDescriptor:
         # Square roots make the inner product of two histograms their Bhattacharyya coefficient.
         features = np.sqrt(np.maximum(pooled, 0.0)) + 1e-4
         features /= np.linalg.norm(features, axis=-1, keepdims=True)
-        return features.astype(np.float32)
+        features = features.astype(np.float32)
+        if shared > 1:
+            features = features.repeat(shared, axis=0).repeat(shared, axis=1)
+        return features[: -(-height // self.patch_px), : -(-width // self.patch_px)]
 
 
 def mask_feature(observation: Observation, features: NDArray[np.float32], patch_px: int) -> MaskFeature:

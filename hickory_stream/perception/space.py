@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.camera import backproject, whole_reduction
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_points, sorted_unique
@@ -29,7 +29,7 @@ _MOST_SIGMA = 1.25
 class SpaceConfig(Ranged):
     """The sampling of rays."""
 
-    #: Stride of the rays in pixels, in both directions.
+    #: Stride of the rays in both directions, in pixels of an image of 640 columns.
     stride_px: int = number(6, 1, 1000, "px")
 
 
@@ -64,12 +64,17 @@ def _reach_m(frame: Frame, lattice: Lattice) -> float:
     return frame.sensor.reach_m(_MOST_SIGMA * lattice.space_m)
 
 
+def _stride_of(frame: Frame, config: SpaceConfig) -> int:
+    return config.stride_px * whole_reduction(frame.camera.width)
+
+
 def _rays(
     frame: Frame, config: SpaceConfig, reach_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], tuple[slice, slice]]:
     # (N, 3) where the rays end in the world, (h, w) which of them have an end, and their pixels (h, w).
-    pixels = sampled_pixels(frame.depth_m.shape, config.stride_px)
-    depth, camera = frame.depth_m[pixels], sampled_camera(frame.camera, config.stride_px)
+    stride = _stride_of(frame, config)
+    pixels = sampled_pixels(frame.depth_m.shape, stride)
+    depth, camera = frame.depth_m[pixels], sampled_camera(frame.camera, stride)
     valid = np.isfinite(depth) & (depth < reach_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
     return points, valid, pixels
@@ -77,7 +82,7 @@ def _rays(
 
 def _dense_returns(frame: Frame, config: SpaceConfig, reach_m: float) -> NDArray[np.float64]:
     # At half the stride: rays beside a pole must not free its voxels.
-    step = max(1, config.stride_px // 2)
+    step = max(1, _stride_of(frame, config) // 2)
     camera = frame.camera
     points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, reach_m)
     return apply(frame.world_from_camera, points)

@@ -7,6 +7,7 @@ it, then from one over the inliers of the first.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -105,17 +106,27 @@ def _reduce_depth(
     # The lower median of valid depths of a block is a measured depth, and thin objects survive.
     depth = depth[: height * factor, : width * factor]
     depth = np.where(depth >= np.float64(nearest_m), depth, np.float32(np.inf))
-    if factor == 2:
-        a, b, c, d = (depth[i // 2 :: 2, i % 2 :: 2] for i in range(4))
-        lows, highs = (np.minimum(a, b), np.minimum(c, d)), (np.maximum(a, b), np.maximum(c, d))
-        between = np.maximum(*lows), np.minimum(*highs)
-        out = np.where(np.isfinite(np.maximum(*between)), np.minimum(*between), np.minimum(*lows))
-    else:
-        blocks = depth.reshape(height, factor, width, factor).swapaxes(1, 2).reshape(height, width, -1)
-        middle = (np.maximum(np.isfinite(blocks).sum(axis=2), 1) - 1) // 2
-        out = np.take_along_axis(np.sort(blocks, axis=2), middle[..., None], axis=2)[..., 0]
+    ranked = [depth[i // factor :: factor, i % factor :: factor] for i in range(factor * factor)]
+    for i, j in _sorting_network(len(ranked)):
+        ranked[i], ranked[j] = np.minimum(ranked[i], ranked[j]), np.maximum(ranked[i], ranked[j])
+    out = ranked[0]
+    for i in range(1, (len(ranked) + 1) // 2):
+        out = np.where(np.isfinite(ranked[2 * i]), ranked[i], out)
     out[np.isinf(out)] = np.nan
     return out
+
+
+@cache
+def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
+    # The pairs to put in order, one after the other, which sorts so many values (Batcher 1968).
+    pairs = list[tuple[int, int]]()
+    spans = [1 << i for i in range((count - 1).bit_length())]
+    for span in spans:
+        for apart in spans[span.bit_length() - 1 :: -1]:
+            for first in range(apart % span, count - apart, 2 * apart):
+                steps = range(first, min(first + apart, count - apart))
+                pairs += [(i, i + apart) for i in steps if i // (2 * span) == (i + apart) // (2 * span)]
+    return tuple(pairs)
 
 
 def _without_flying_pixels(depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -230,7 +230,8 @@ def examine_frames(
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
     # An odometry's poses come from the images themselves.
-    motions = None if isinstance(source, OdometrySource) else MotionSampler(every=max(1, expected // STEPS))
+    is_estimated = isinstance(source, OdometrySource)
+    motions = None if is_estimated else MotionSampler(compares_colors=True, every=max(1, expected // STEPS))
     started_s = time.perf_counter()
     for raw in islice(source.frames(), None if motions is not None else _REGISTERED):
         num_frames += 1

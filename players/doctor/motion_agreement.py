@@ -152,6 +152,8 @@ def step_between(before: Frame, after: Frame) -> CameraStep | None:
 class MotionSampler:
     """Takes the frames of a source in order, and decodes those of about 24 steps, which spread over the log."""
 
+    #: Whether `lag_scores` are wanted.
+    compares_colors: bool = False
     #: Frames from one step to the next; it doubles where the log is longer than expected.
     every: int = 1
     steps: list[CameraStep] = field(default_factory=list)
@@ -160,6 +162,8 @@ class MotionSampler:
     stamps_ns: list[int] = field(default_factory=list)
     poses: list[Matrix] = field(default_factory=list)
     _begun: RawFrame | None = None
+    #: the last step's second frame, with which the next step often begins
+    _decoded: Frame | None = None
     _next: int = 0
     _has_ended: bool = False
 
@@ -179,23 +183,29 @@ class MotionSampler:
         self.stamps_ns.append(raw.stamp_ns)
         self.poses.append(raw.world_from_camera)
         if self._begun is None or raw.stamp_ns - self._begun.stamp_ns > _LOST_NS:
-            self._begun = raw if number >= self._next else None
+            self._begun, self._decoded = raw if number >= self._next else None, None
             return
         motion = compose(invert(self._begun.world_from_camera), raw.world_from_camera)
         is_far = np.linalg.norm(motion[:3, 3]) > _STEP_M or np.linalg.norm(rotation_vector(motion[:3, :3])) > _STEP_RAD
         if not is_far and raw.stamp_ns - self._begun.stamp_ns < _STEP_NS:
             return
         with suppress(RecordingError, cv2.error):
-            before = self._begun.decode()
-            if (step := step_between(before, raw.decode())) is not None:
+            before, self._decoded = self._decoded or self._begun.decode(), None
+            after = raw.decode()
+            if (step := step_between(before, after)) is not None:
                 self.steps.append(replace(step, start_ns=self._begun.stamp_ns, end_ns=raw.stamp_ns))
-                seconds = (raw.stamp_ns - self._begun.stamp_ns) / 1e9
-                scores = lag_scores(before, step.before_from_after, seconds)
-                self.lag_scores += [scores] if scores is not None else []
+                if self.compares_colors:
+                    seconds = (raw.stamp_ns - self._begun.stamp_ns) / 1e9
+                    scores = lag_scores(before, step.before_from_after, seconds)
+                    self.lag_scores += [scores] if scores is not None else []
+            self._decoded = after
         if len(self.steps) > 2 * STEPS:
             self.steps, self.every = self.steps[::2], 2 * self.every
         self._next = max(number, self._next + self.every)
-        self._begun = raw if number >= self._next else None
+        if number >= self._next:
+            self._begun = raw
+        else:
+            self._begun = self._decoded = None
 
     def agreement(self, body_from_camera: Matrix | None = None) -> MotionAgreement | None:
         """Return the comparison; None if too little moves, or too few images show how.

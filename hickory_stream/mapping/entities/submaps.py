@@ -123,7 +123,7 @@ class SubmapState:
             freeze(self, "anchor", np.float64, (4, 4))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class Submaps:
     """All submaps, the last of which is open, and the `space` against which tracks are checked."""
 
@@ -255,7 +255,19 @@ def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) 
     voxel_m = submaps.space.voxel_m
     low, high = np.floor((bounds[:, :2] + [[-reach_m], [reach_m]]) / voxel_m).astype(np.int64)
     around = Window((int(low[0]), int(low[1])), (int(high[0]) + 1, int(high[1]) + 1))
-    return submaps.space if submaps.window.holds(around) else _space_within(submaps, around)
+    if submaps.window.holds(around):
+        return submaps.space
+    # Tracks out of sight that are judged together lie together: one space serves them all.
+    known = _AROUND.setdefault(submaps, {})
+    for window, space in known.items():
+        if window.holds(around):
+            return space
+    wide = around.wider(round(LEAST_BESIDE_M / voxel_m))
+    known[wide] = _space_within(submaps, wide)
+    return known[wide]
+
+
+_AROUND: WeakKeyDictionary[Submaps, dict[Window, SpaceState]] = WeakKeyDictionary()
 
 
 def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
