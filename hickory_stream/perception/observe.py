@@ -35,7 +35,8 @@ _MIN_NEIGHBORS = 5
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
 # The rim of a mask lies this far outside; a step in colour is as large as where fragments are split by it.
-_RIM_PX, _COLOR_STEP = 3, 12.0
+# A mask as wide as this is looked at at half resolution.
+_RIM_PX, _COLOR_STEP, _WIDE_PX = 3, 12.0, 48
 _COLOR_WEIGHTS = np.array([0.5, 1, 1], np.float32)
 # About so many pixels around a mask and in it are looked at for the surface that it is flush with.
 _BESIDE_PX = 600
@@ -161,29 +162,26 @@ def _behind(
 def _drawn(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> float:
     # The share of the rim with returns beside it or, where they are missing, with a step in colour.
     (x0, y0, x1, y1), (height, width) = box_px, frame.depth_m.shape
-    left, top, right, bottom = (
-        max(0, x0 - _RIM_PX),
-        max(0, y0 - _RIM_PX),
-        min(width, x1 + _RIM_PX),
-        min(height, y1 + _RIM_PX),
-    )
-    inside = cv2.copyMakeBorder(
-        mask.astype(np.uint8), y0 - top, bottom - y1, x0 - left, right - x1, cv2.BORDER_CONSTANT, value=0
-    )
+    step = 1 + (min(mask.shape) >= _WIDE_PX)
+    reach = step * _RIM_PX
+    left, top, right, bottom = max(0, x0 - reach), max(0, y0 - reach), min(width, x1 + reach), min(height, y1 + reach)
+    around = (slice(top, bottom, step), slice(left, right, step))
+    inside = np.zeros((bottom - top, right - left), np.uint8)
+    inside[y0 - top : y1 - top, x0 - left : x1 - left] = mask
+    inside = np.ascontiguousarray(inside[::step, ::step])
     near, far = (cv2.dilate(inside, np.ones((2 * px + 1, 2 * px + 1), np.uint8)) for px in (_RIM_PX - 1, _RIM_PX))
     rim = far > near
     # Single lines without returns are artefacts of a sensor.
-    returns = cv2.dilate((frame.depth_m[top:bottom, left:right] > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    unseen = rim & ~returns
+    unseen = rim & (cv2.dilate((frame.depth_m[around] > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
     if not unseen.any():
         return 1.0
-    lab = lab_of(frame.rgb[top:bottom, left:right]) * _COLOR_WEIGHTS
+    lab = lab_of(frame.rgb[around]) * _COLOR_WEIGHTS
     side = (4 * _RIM_PX + 1, 4 * _RIM_PX + 1)
     weights = cv2.blur(inside.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
-    means = cv2.blur(lab * inside[..., None], side, borderType=cv2.BORDER_CONSTANT)
+    means = cv2.blur(cv2.copyTo(lab, inside), side, borderType=cv2.BORDER_CONSTANT)
     beside = cv2.blur(lab, (3, 3))
-    step = beside[unseen] - means[unseen] / np.maximum(weights[unseen], np.float32(1e-6))[:, None]
-    missing = int(np.count_nonzero((step * step).sum(axis=1) < _COLOR_STEP * _COLOR_STEP))
+    steps = beside[unseen] - means[unseen] / np.maximum(weights[unseen], np.float32(1e-6))[:, None]
+    missing = int(np.count_nonzero((steps * steps).sum(axis=1) < _COLOR_STEP * _COLOR_STEP))
     return 1 - missing / int(np.count_nonzero(rim))
 
 
