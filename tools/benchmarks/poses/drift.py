@@ -134,7 +134,7 @@ def _mapped(walk: DriftingWalk, factor: float) -> Mapped:
         saved, poses = keyframe_poses(out)
         graph = saved.snapshot.graph
         found = evaluate(saved, truth)
-        aligned = evaluate(saved, moved_truth(truth, _map_from_world(poses, true)))
+        aligned = evaluate(saved, moved_truth(truth, map_from_world(poses, true)))
     odometry = {stamp_ns: (walk.odometry[factor] if factor else true)[stamp_ns] for stamp_ns in poses}
     return Mapped(
         before_m=_ate_m(odometry, true), after_m=_ate_m(poses, true), num_poses=len(poses),
@@ -167,7 +167,7 @@ def _ate_m(poses: Poses, true: Poses) -> float:
     return trajectory_error(sorted(poses), estimated, sorted(true), truth).ate_m
 
 
-def _map_from_world(poses: Poses, true: Poses) -> NDArray[np.float64]:
+def map_from_world(poses: Poses, true: Poses) -> NDArray[np.float64]:
     found, there = (np.array([each[stamp_ns][:3, 3] for stamp_ns in sorted(poses)]) for each in (poses, true))
     return from_rotation_translation(*best_alignment(there, found))
 

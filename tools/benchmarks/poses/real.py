@@ -1,5 +1,6 @@
-"""Real walks without their poses: errors of odometry and of the map, and the loops of the map, right and wrong."""
-# The poses of the canteen are the device's own tracking, good to 1 to 4 cm. Results are cached under `--state`.
+"""Real walks without their poses: odometry, loops and objects of the map, beside the map with the given poses."""
+# The poses of the canteen are the device's own tracking, good to 1 to 4 cm. Results are cached under `--state`. Objects
+# of two maps are the same at IoU 0.25; the two are placed as the ATE places their keyframes.
 
 import os
 import tempfile
@@ -11,18 +12,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
 from hickory_stream.evaluation.trajectory_error import trajectory_error
-from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.geometry.boxes import box_iou
+from hickory_stream.geometry.rigid import apply, compose, invert, rotation_angle_rad
+from hickory_stream.geometry.voxels import are_near, keys_of_points, sorted_unique
+from hickory_stream.mapping.entities.rigid_motion import moved_box
 from hickory_stream.ports import Source
 from players import SourceOptions, open_source
 from players.options import NO_TOPIC, OdometryChoice
-from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
+from tools.benchmarks.common.cached_runs import cached, cached_map, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import NO_SHAPES, ROOT
-from tools.benchmarks.poses.drift import CONFIG, keyframe_poses
+from tools.benchmarks.poses.drift import CONFIG, keyframe_poses, map_from_world
 from tools.benchmarks.poses.drift_logs import Poses
 from tools.benchmarks.poses.loop_walks import closed_loops
 
@@ -42,7 +47,8 @@ def real_figures(options: Options) -> list[Figure]:
         if not log.is_dir():
             continue
         runs = {"": partial(estimated, log)}
-        runs |= {} if options.quick else {"kiss": partial(estimated, log, "kiss-icp"), "map": partial(_mapped, log)}
+        if not options.quick:
+            runs |= {"kiss": partial(estimated, log, "kiss-icp"), "map": partial(_mapped, log, folder)}
         found = {key: cached(folder / f"{name}{key}.json", run) for key, run in runs.items()}
         own, of = found[""], f"{found['']['frames']} frames, {found['']['way_m']:.1f} m, {found['']['by']}"
         rows = [
@@ -58,6 +64,9 @@ def real_figures(options: Options) -> list[Figure]:
                 (f"{name}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last keyframe"),
                 (f"{name}_loops", own["right"], "", "higher", f"right ones, {own['rejected']} rejected"),
                 (f"{name}_wrong_loops", own["wrong"], "", "lower", "believed"),
+                (f"{name}_kept", own["kept"], "", "higher", f"of {own['given']} objects of the map with given poses"),
+                (f"{name}_also_given", own["also_given"], "", "higher", f"the other way, of {own['found']}"),
+                (f"{name}_doubles", own["doubles"], "", "lower", "objects that the map with given poses has as one"),
             ]
         figures += [figure(*row, role=role) for row in rows]
     return figures
@@ -83,12 +92,43 @@ def estimated(log: Path, choice: OdometryChoice = "depth") -> dict[str, Any]:
     return {**errors, **more, "digest": sha256(np.array(list(poses.values())).tobytes()).hexdigest()}
 
 
-def _mapped(log: Path) -> dict[str, Any]:
-    true = _poses(open_source(log))
+def _mapped(log: Path, folder: Path) -> dict[str, Any]:
+    true, config = _poses(open_source(log)), read_config(MapperConfig, None, (*CONFIG, NO_SHAPES))
+    given = folder / f"{log.name}-given"
+    cached_map(given, lambda: open_source(log), *CONFIG, NO_SHAPES)
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "map"
-        play_into(out, _without_poses(log), read_config(MapperConfig, None, (*CONFIG, NO_SHAPES)))
-        return {**_errors(keyframe_poses(out)[1], true), **asdict(closed_loops(out, true))}
+        play_into(out, _without_poses(log), config)
+        found = {**_errors(keyframe_poses(out)[1], true), **asdict(closed_loops(out, true))}
+        return {**found, **agreement(given, out)}
+
+
+# Objects lie on one another in cells of this size: the poses err by less.
+_CELL_M = 0.05
+
+
+def agreement(given: Path, other: Path) -> dict[str, int]:
+    """Return how many objects two maps of one log have in common, and the doubles of the other one."""
+    # A double: one more object of the other map that lies by half on an object of the given one, and covers a fifth.
+    (one, true), (two, poses) = keyframe_poses(given), keyframe_poses(other)
+    both = sorted(true.keys() & poses.keys())
+    moved = map_from_world({stamp: poses[stamp] for stamp in both}, {stamp: true[stamp] for stamp in both})
+    iou = np.array(
+        [[box_iou(moved_box(a.box, moved), b.box) for b in two.snapshot.objects] for a in one.snapshot.objects]
+    )
+    cells = [_cells(apply(moved, item.points_world)) for item in one.snapshot.objects]
+    lying = [0] * len(cells)
+    for keys in (_cells(item.points_world) for item in two.snapshot.objects):
+        shares = [(round(float(are_near(own, keys).mean()), 2), -len(own), i) for i, own in enumerate(cells)]
+        share, _, i = max(shares)
+        lying[i] += share >= 0.5 and are_near(keys, cells[i]).mean() >= 0.2
+    kept, back = (int((iou.max(axis=axis) >= 0.25).sum()) for axis in (1, 0))
+    doubles = sum(max(count - 1, 0) for count in lying)
+    return {"kept": kept, "given": iou.shape[0], "also_given": back, "found": iou.shape[1], "doubles": int(doubles)}
+
+
+def _cells(points: NDArray[Any]) -> NDArray[np.int64]:
+    return sorted_unique(keys_of_points(points.astype(np.float32), _CELL_M))
 
 
 def _errors(poses: Poses, true: Poses) -> dict[str, Any]:
