@@ -88,7 +88,13 @@ class VoteBook:
         row = self.rows.get(gone)
         if row is None:
             return self
-        return self._changed([gone], {(kept, other): votes for other, votes in row.votes.items() if other != kept})
+        # A keyframe that saw both together with another track is one look: looks that both share count once.
+        added = {
+            (kept, other): replace(votes, together_ns=max(votes.together_ns - self.of(kept, other).together_ns, 0))
+            for other, votes in row.votes.items()
+            if other != kept
+        }
+        return self._changed([gone], added)
 
     def all_of(self, track_id: int) -> Mapping[int, Votes]:
         """Return the votes of a track with others, by their ids."""

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import combinations
 import numpy as np
 import pytest
 from hypothesis import given
@@ -62,14 +63,23 @@ def test_a_vote_counts_for_its_pair_alone(book, pair, together, apart):
 
 
 @given(vote_books(), pairs)
-def test_after_a_merge_the_kept_track_has_the_votes_of_both(book, pair):
+def test_a_merge_takes_votes_over_and_counts_shared_looks_once(book, pair):
     kept, gone = pair
     after = book.merged(kept, gone)
     for other in set(range(1, 6)) - {kept, gone}:
         mine, theirs = book.of(kept, other), book.of(gone, other)
-        assert after.of(kept, other) == Votes(mine.together_ns + theirs.together_ns, mine.apart_ns + theirs.apart_ns)
+        together_ns = max(mine.together_ns, theirs.together_ns)
+        assert after.of(kept, other) == Votes(together_ns, mine.apart_ns + theirs.apart_ns)
     assert after.of(kept, gone) == Votes()
     assert not any(gone in known for known in after.votes)
+
+
+def test_one_keyframe_alone_never_merges_many_fragments():
+    book, ids = VoteBook(), range(1, 9)
+    book = book.plus(list(combinations(ids, 2)), together_ns=SECOND_NS // 2)
+    for gone in ids[:0:-1]:
+        assert max(book.of(1, other).together_ns for other in ids) < 1e9 * CONFIG.min_together_s
+        book = book.merged(1, gone)
 
 
 @given(vote_books(), st.integers(1, 5))

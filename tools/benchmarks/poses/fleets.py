@@ -1,6 +1,6 @@
 """Fleets of synthetic robots: the robots that are joined, whether rightly, and the quality of the merged map."""
 # Rooms with two robots; the same with a third robot of another room; apartments with three robots, compared with the
-# map of one robot that walks as long.
+# map of one robot that walks as long; walks of a campus by others, with odometry that drifts by about a percent.
 
 import shutil
 import tempfile
@@ -15,22 +15,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.alignment.answer import NoAlignment
+from hickory_stream.alignment.object_map import object_map
 from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
+from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
-from hickory_stream.evaluation.truth import Truth, moved_truth
+from hickory_stream.evaluation.truth import Truth, load_truth, moved_truth
 from hickory_stream.fleet.finish import finish
 from hickory_stream.fleet.result import FleetResult
 from hickory_stream.fleet.robots import FleetConfig, Robot
 from hickory_stream.fleet.run import FleetPlan, run_fleet
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.merging.joining import aligned_to_join
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
+from hickory_stream.worlds.trajectory import Trajectory
 from players import SourceOptions, open_source
-from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
+from tools.benchmarks.common.cached_runs import cached, cached_map, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import COARSE
+from tools.benchmarks.common.processes import COARSE, NO_SHAPES
+from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.benchmarks.foreign.parts import CAMPUS, CAMPUS_WALKS
+from tools.benchmarks.poses.drift import CONFIG, keyframe_poses, map_from_world
+from tools.benchmarks.poses.drift_logs import drift_of
+from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.cache import cached_recording
+from tools.worlds.drift import drifted
 from tools.worlds.recording_config import RecordingConfig, drawn_frame
 
 _ROOMS, _QUICK_ROOMS, _APARTMENTS = 20, 1, (24, 30)
@@ -94,6 +105,49 @@ def fleet_figures(options: Options) -> list[Figure]:
     for name, place, iou in (("fleet_recall_25_loss", 0, 0.25), ("fleet_recall_loss", 1, 0.5)) if losses else ():
         of = f"mean of {len(losses)} apartments, IoU {iou}; one robot walks as long as three"
         figures.append(figure(name, np.mean([loss[place] for loss in losses]), "", "lower", of))
+    return figures
+
+
+def campus_figures(options: Options) -> list[Figure]:
+    """Return how many pairs of walks of a campus are joined, how many wrongly, and how far off the right ones are."""
+    try:
+        worlds = worlds_folder(options.worlds)
+    except RecordingError:
+        return []
+    folder, maps = state_folder(options.state, "campus"), {}
+    for walk, camera in CAMPUS_WALKS:
+        name, log = f"{walk}-{camera}", foreign_log(worlds, CAMPUS, walk, camera)
+        true = {frame.stamp_ns: frame.world_from_camera for frame in load_truth(log.truth).frames}
+        times_s = np.array([stamp_ns / 1e9 for stamp_ns in true])
+        walked = Trajectory(times_s=times_s - times_s[0], world_from_camera=np.array(list(true.values())))
+        rng = np.random.default_rng([51, len(maps)])
+        odometry = dict(zip(true, drifted(walked, drift_of(1.0), rng).world_from_camera, strict=True))
+        source = MovedSource(open_source(str(log.log)), lambda raw, odometry=odometry: odometry[raw.stamp_ns])
+        saved = cached_map(folder / name, lambda source=source: source, *CONFIG, NO_SHAPES)
+        poses = keyframe_poses(folder / name)[1]
+        placed = map_from_world(poses, {stamp_ns: true[stamp_ns] for stamp_ns in poses})
+        maps[name] = (object_map(saved.snapshot, saved.manifest.extractor), placed)
+    answers = {}
+    for a, b in combinations(maps, 2):
+        (map_a, a_from_world), (map_b, b_from_world) = maps[a], maps[b]
+        answer = aligned_to_join(map_a, map_b)
+        if isinstance(answer, NoAlignment):
+            print(f"{a} and {b}: {answer.refusal}, {answer.reason}", flush=True)
+            continue
+        off = invert(a_from_world @ invert(b_from_world)) @ answer.a_from_b
+        middle = apply(invert(answer.a_from_b), answer.center_a[None])[0]
+        answers[a, b] = (float(np.linalg.norm(apply(off, middle) - middle)), rotation_angle_rad(off[:3, :3]))
+        print(f"{a} and {b}: {answers[a, b][0]:.3f} m, {np.degrees(answers[a, b][1]):.2f} deg off", flush=True)
+    right = [error for error in answers.values() if error[0] <= _WRONG_M and error[1] <= _WRONG_RAD]
+    of = f"of {len(maps) * (len(maps) - 1) // 2} pairs of {', '.join(maps)}, odometry drifts by a percent"
+    figures = [
+        figure("campus_pairs_joined", len(right), "", "higher", of, role="tuned on"),
+        figure("campus_pairs_wrong", len(answers) - len(right), "", "lower", of, role="tuned on"),
+    ]
+    if right:
+        off_m, off_rad = (float(max(column)) for column in zip(*right, strict=True))
+        figures.append(figure("campus_pairs_error_m", off_m, "m", "lower", "of the right ones, the worst"))
+        figures.append(figure("campus_pairs_error_deg", float(np.degrees(off_rad)), "deg", "lower"))
     return figures
 
 

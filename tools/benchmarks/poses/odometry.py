@@ -26,7 +26,7 @@ from tools.benchmarks.alignment.covariance import square_figures
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO
 from tools.benchmarks.poses.drift import drift_figures, registration_figures
-from tools.benchmarks.poses.fleets import fleet_figures
+from tools.benchmarks.poses.fleets import campus_figures, fleet_figures
 from tools.benchmarks.poses.loop_walks import walk_figures
 from tools.benchmarks.poses.loops import loop_figures
 from tools.benchmarks.poses.pose_graphs import graph_figures
@@ -45,16 +45,17 @@ _ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0)
 _ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
 _EXTRINSICS_SEEDS = (7, 8, 9)
 _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
-    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)], "fleet": fleet_figures,
-    "graph": graph_figures, "loops": loop_figures, "squares": square_figures, "walks": walk_figures,
-    "real": real_figures,
+    "campus": campus_figures, "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
+    "fleet": fleet_figures, "graph": graph_figures, "loops": loop_figures, "squares": square_figures,
+    "walks": walk_figures, "real": real_figures,
 }  # fmt: skip
 
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
     # `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
-    # alike, logs whose odometry has `drift`, `real` walks, or `squares`, the calibration of alignment on whole maps.
+    # alike, logs whose odometry has `drift`, `real` walks, pairs of walks of a `campus`, or `squares`, the calibration
+    # of alignment on whole maps.
     if len(options.only) == 1 and options.only[0] in _PARTS:
         return _PARTS[options.only[0]](options)
     quick = options.quick
@@ -74,7 +75,11 @@ def measure(options: Options) -> list[Figure]:
     if ((data := data_folder()) / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
     figures += [*loop_figures(options), *fleet_figures(options)]
-    return figures if quick else [*figures, *_extrinsics(), *walk_figures(options), *drift_figures(options)]
+    return (
+        figures
+        if quick
+        else [*figures, *_extrinsics(), *walk_figures(options), *drift_figures(options), *campus_figures(options)]
+    )
 
 
 def _corridors(rooms: list[dict[str, Any]], *, quick: bool) -> list[Figure]:
