@@ -63,3 +63,36 @@ def test_another_wall_is_no_known_place(picture):
     odometry.register(before_wall(0, 0.0, picture))
     found = odometry.register(before_wall(1, 0.0, picture[::-1, ::-1]))
     assert isinstance(found, NotRegistered) or len(found.degenerate) == 3
+
+
+def nothing(frame):
+    return replace(frame, rgb=np.zeros_like(frame.rgb), depth_m=np.full_like(frame.depth_m, np.nan))
+
+
+def shirt(frame):
+    folds = np.random.default_rng(frame.index).integers(0, 255, (24, 32, 3)).astype(np.uint8)
+    rgb = cv2.resize(folds, (CAMERA.width, CAMERA.height))
+    return replace(frame, rgb=rgb, depth_m=np.full_like(frame.depth_m, 0.6))
+
+
+def dark(frame):
+    return replace(frame, rgb=np.zeros_like(frame.rgb))
+
+
+@pytest.mark.parametrize("seen", [nothing, shirt, dark], ids=["put down", "a person fills the view", "a dark corridor"])
+def test_what_shows_no_place_is_told_and_the_camera_is_found_again(picture, seen):
+    odometry = CameraOdometry()
+    for i in range(10):
+        odometry.register(before_wall(i, 0.1 * i, picture))
+    hidden = [odometry.register(seen(before_wall(10 + i, 0.9, picture))) for i in range(10)]
+    assert all(isinstance(each, NotRegistered) or len(each.degenerate) for each in hidden)
+    again = [odometry.register(before_wall(20 + i, 0.4 + 0.1 * i, picture)) for i in range(3)]
+    np.testing.assert_allclose([sideways(each) for each in again], [0.4, 0.5, 0.6], atol=0.02)
+
+
+def test_a_camera_is_found_after_frames_stopped_for_a_minute(picture):
+    odometry = CameraOdometry()
+    for i in range(10):
+        odometry.register(before_wall(i, 0.1 * i, picture))
+    late = replace(before_wall(10, 0.4, picture), stamp_ns=62_000_000_000)
+    assert abs(sideways(odometry.register(late)) - 0.4) < 0.02

@@ -5,6 +5,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.engine.loop_closing import MIN_SUBMAPS_APART
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import odometry_covariance
@@ -54,7 +55,7 @@ def loop_figures(options: Options) -> list[Figure]:
 def _accepted(rooms: list[SeenRoom]) -> list[Loop]:
     config, later = GraphConfig(), len(rooms) - 1
     submaps = [_surveyed(i, room) for i, room in enumerate(rooms)]
-    predicted = predictions(submaps, (), config, least_apart=LoopConfig().least_apart)
+    predicted = predictions(submaps, (), config, least_apart=MIN_SUBMAPS_APART)
     assert not isinstance(predicted, NoSolution)
     loops = search_loops(LoopQuery(later_id=later, surfaces=Surfaces(submaps), predicted=predicted), LoopConfig())
     solution = solve(pose_graph(submaps, loops, list(range(len(rooms))), config), config)
