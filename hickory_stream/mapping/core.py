@@ -103,7 +103,7 @@ class MapperCore:
                 state.decide("keep_out", None, f"frame {event.frame_index} is kept out: {event.reason}")
             case SourceEnded():
                 effects = end_tracks(state, self._config, merges=not self._tracker.is_external)
-                effects += end_elsewhere(state)
+                effects += end_elsewhere(state, self._config, merges=not self._tracker.is_external)
                 state.absorbed, state.joins = {}, {}  # no later split or unmerge
                 return [*effects, *self._conclude((), is_final=True)]
             case _:

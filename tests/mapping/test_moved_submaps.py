@@ -86,6 +86,16 @@ def test_an_object_in_a_moved_submap_is_recognised_there():
     assert any(isinstance(effect, Publish) for effect in decisions)
 
 
+def test_two_tracks_of_one_thing_elsewhere_are_one_in_the_end():
+    core, beside = out_and_back(sees_home=False), drifted(HOME + np.array([0.02, 0.0, 0.0]))
+    drive(core, [at(11, 0.0, beside)])
+    core.handle(placed(core))
+    drive(core, [at(12 + i, 0.1 * i, beside) for i in range(3)])
+    assert len(core.snapshot().objects) == 3, "seen once, it did not meet the other when that was moved"
+    drive(core, [SourceEnded(stamp_ns=30 * SECOND_NS)])
+    assert [item.id for item in core.snapshot().objects] == [1, 2]
+
+
 def test_without_a_correction_the_way_back_makes_a_second_object():
     assert len(out_and_back(sees_home=True).snapshot().objects) == 3
 

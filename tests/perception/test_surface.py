@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hickory_stream.perception.structure.detection import (
+    HorizontalPlane,
     StructureConfig,
     floor_height_m,
     horizontal_planes,
@@ -72,6 +73,14 @@ def test_a_known_floor_is_replaced_by_a_lower_one_only():
     planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
     heights = [floor_height_m(surface, planes, known, StructureConfig()) for known in (None, -0.7, 0.4)]
     assert heights == pytest.approx([0.0, -0.7, 0.0], abs=0.01)
+
+
+def test_a_flank_of_the_floor_below_it_is_not_the_floor():
+    frame, _ = render([floor(), BOX], VIEW)
+    surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
+    planes = [HorizontalPlane(z_m=z_m, area_m2=m2) for z_m, m2 in ((-0.04, 0.3), (0.0, 4.5), (0.5, 9.0))]
+    heights = [floor_height_m(surface, planes, known, StructureConfig()) for known in (None, -0.04, 0.0)]
+    assert heights == [0.0, 0.0, 0.0]
 
 
 def test_another_storey_has_its_own_floor():

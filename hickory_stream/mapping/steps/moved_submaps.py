@@ -314,10 +314,10 @@ def _met(
                 yield -score, a.id, b.id
 
 
-def end_elsewhere(state: MapState) -> list[Effect]:
-    """Drop the tracks elsewhere that are no objects at the end of the source."""
+def end_elsewhere(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
+    """Merge tracks elsewhere with those at their places, at the end of the source; drop those that are no objects."""
+    effects = _merge_met(state, state.submaps, config, tuple(state.elsewhere)) if merges else []
     lost = [track for track in state.elsewhere.values() if not is_object(track)]
-    effects: list[Effect] = []
     for track in lost:
         effects += drop(state, track, "never confirmed")
     return effects

@@ -144,13 +144,18 @@ def floor_height_m(
     highest_m = camera_z - config.floor_below_camera_m
     below = [plane for plane in planes if plane.area_m2 >= FLOOR_AREA_M2 and plane.z_m <= highest_m]
     if known_m is None:
-        return below[0].z_m if below else None
+        return _floor_of(below).z_m if below else None
     # A camera higher than a storey above the map's floor is on another storey.
     if camera_z - known_m > STOREY_M:
         return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
     # A floor a storey lower belongs to the storey below, seen over a railing.
-    lower = [plane.z_m for plane in below if known_m - STOREY_M < plane.z_m <= known_m + AT_FLOOR_M]
-    return lower[0] if lower else known_m
+    lower = [plane for plane in below if known_m - STOREY_M < plane.z_m <= known_m + AT_FLOOR_M]
+    return _floor_of(lower).z_m if lower else known_m
+
+
+def _floor_of(planes: list[HorizontalPlane]) -> HorizontalPlane:
+    # A tilted or noisy floor has a flank of its own peak: of the planes at the lowest one's height, the largest counts.
+    return max((p for p in planes if p.z_m <= planes[0].z_m + AT_FLOOR_M), key=lambda plane: plane.area_m2)
 
 
 def structure_mask(
