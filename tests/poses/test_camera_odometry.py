@@ -80,7 +80,7 @@ def dark(frame):
 
 
 @pytest.mark.parametrize("seen", [nothing, shirt, dark], ids=["put down", "a person fills the view", "a dark corridor"])
-def test_what_shows_no_place_is_told_and_the_camera_is_found_again(picture, seen):
+def test_a_hidden_view_is_reported_and_the_camera_found_again(picture, seen):
     odometry = CameraOdometry()
     for i in range(10):
         odometry.register(before_wall(i, 0.1 * i, picture))
