@@ -109,7 +109,8 @@ class _KernelCache:
         """Return a cached kernel; None if there is none."""
         rtsys.initialize(context)
         context.codegen().unserialize_library = partial(_LoadedLibrary.unserialized, context.codegen())
-        return self._opened._load_overload(signature, context)
+        with self._opened._guard_against_spurious_io_errors():
+            return self._opened._load_overload(signature, context)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._opened, name)

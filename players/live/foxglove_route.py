@@ -12,6 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from typing import Any
 
 from hickory_stream.base.json_text import dumps
@@ -223,6 +224,7 @@ class FoxgloveRoute:
             self._stopped.wait(_AGAIN_S)
 
     def _talk(self, inbox: Inbox) -> None:
+        from websockets.exceptions import ConnectionClosedOK
         from websockets.sync.client import connect
         from websockets.typing import Subprotocol
 
@@ -239,13 +241,14 @@ class FoxgloveRoute:
                 raise _OtherProtocolError
             with self._lock:
                 self._connection = connection
-            for frame in connection:
-                if isinstance(frame, bytes):
-                    self._take(inbox, frame)
-                else:
-                    self._hear(inbox, frame)
-                if self._stopped.is_set():
-                    return
+            with suppress(ConnectionClosedOK):
+                while not self._stopped.is_set():
+                    # A message of one frame, as servers send them, is not copied.
+                    parts: list[Any] = list(connection.recv_streaming())
+                    if isinstance(parts[0], str):
+                        self._hear(inbox, "".join(parts))
+                    else:
+                        self._take(inbox, memoryview(parts[0] if len(parts) == 1 else b"".join(parts)).toreadonly())
 
     def _hear(self, inbox: Inbox, text: str) -> None:
         try:
@@ -309,12 +312,12 @@ class FoxgloveRoute:
         except ConnectionClosed:
             return  # the receiving thread connects again, and asks again
 
-    def _take(self, inbox: Inbox, frame: bytes) -> None:
+    def _take(self, inbox: Inbox, frame: memoryview) -> None:
         if len(frame) < _MESSAGE_DATA.size or frame[0] != 1:
             return  # the time, or an answer to what was not asked
         _, subscription, _ = _MESSAGE_DATA.unpack_from(frame)
         name = self._channels.get(subscription)
         if name in self._heard:
-            self._heard[name](frame[_MESSAGE_DATA.size :])
+            self._heard[name](bytes(frame[_MESSAGE_DATA.size :]))
         elif name is not None:
-            inbox.put(name, memoryview(frame)[_MESSAGE_DATA.size :])
+            inbox.put(name, frame[_MESSAGE_DATA.size :])

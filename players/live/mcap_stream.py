@@ -107,7 +107,9 @@ class McapStream:
                 if opcode == mcap.FOOTER:
                     return
                 begin = at + mcap.HEAD.size
-                yield opcode, memoryview(bytes(buffer[begin : begin + length]))
+                with memoryview(buffer) as view:
+                    content = bytes(view[begin : begin + length])
+                yield opcode, memoryview(content)
                 at = begin + length
             del buffer[:at]
             at = 0

@@ -29,6 +29,14 @@ def test_features_have_unit_norm_and_one_patch_per_14_pixels(height, width, seed
     assert np.linalg.norm(features, axis=-1) == pytest.approx(1.0, abs=1e-5)
 
 
+def test_wide_images_have_the_features_of_the_same_view_at_640():
+    tiles = np.random.default_rng(0).integers(0, 256, (3, 64, 3), dtype=np.uint8)
+    small, wide = (tiles.repeat(side, axis=0).repeat(side, axis=1) for side in (10, 20))
+    features = DESCRIPTOR.extract(wide)
+    assert features.shape[:2] == (5, 92)
+    assert np.array_equal(features[::2, ::2], DESCRIPTOR.extract(small))
+
+
 def test_a_plain_mask_has_no_variance_and_a_unit_feature():
     frame, observation = observation_of_a_filled_image()
     feature = mask_feature(observation, DESCRIPTOR.extract(frame.rgb), DESCRIPTOR.patch_px)

@@ -93,7 +93,7 @@ def test_another_storey_has_its_own_floor():
     assert floor_height_m(surface, planes[:1], 2.6, StructureConfig()) == 2.6
 
 
-@pytest.mark.parametrize("factor", [1, 2, 3])
+@pytest.mark.parametrize("factor", [1, 2, 3, 4])
 @given(seed=seeds)
 def test_a_working_pixel_has_the_lower_median_of_its_block(factor, seed):
     rng = np.random.default_rng(seed)
