@@ -71,7 +71,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--set-baseline", metavar="ABOUT", help="write the figures into the committed baseline, with a description")
     add("--write-docs", action="store_true", help="keep the figures, and fill the tables of the READMEs")
     add("--maps", action="store_true", help="damage: alter maps instead of logs")
-    add("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
     add("--state", type=Path, default=Path("out/bench"), metavar="DIR", help="folder of intermediate results")
     add("--minutes", type=float, default=math.inf, help="begin nothing after this; a later call continues")
     add("--fresh", action="store_true", help="forget intermediate results")

@@ -36,7 +36,7 @@ _FLEETS = ("hickory_stream/alignment", "hickory_stream/fleet", "hickory_stream/m
 
 BENCHMARKS = {
     "main": Benchmark("maps.demo", "the demo from end to end: speed, memory, recall, one digest"),
-    "quality": Benchmark("maps.quality", "maps of synthetic worlds against truth; the choice of views"),
+    "quality": Benchmark("maps.quality", "maps of synthetic worlds against truth"),
     "golden": Benchmark("maps.golden", "digests and figures of three small logs, as a gate"),
     "foreign": Benchmark("foreign.gate", "maps of rooms by others, a labelled kitchen, streets; oracle ablations"),
     "changes": Benchmark(

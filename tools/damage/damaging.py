@@ -5,7 +5,7 @@
 import mmap
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -170,7 +170,7 @@ def messages(m: RosMessages, num_frames: int, size: tuple[int, int] = (80, 60)) 
             yield f"/cam/{kind}/camera_info", stamp_ns, info
 
 
-def write_mcap(path: Path, log: Iterator[tuple[str, int, Any]], compression: str, chunk_bytes: int) -> Path:
+def write_mcap(path: Path, log: Iterable[tuple[str, int, Any]], compression: str, chunk_bytes: int) -> Path:
     from mcap.writer import CompressionType, Writer
 
     m = RosMessages(2)

@@ -26,12 +26,10 @@ from tools.benchmarks.common.processes import best_s
 from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import Trial, noise_floor, run_trial
-from tools.evaluation.simulated_maps.variants import bent_map
 
 J, R = TypeVar("J"), TypeVar("R")
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
-_DRIFT_DEG_PER_M = 0.3
 _ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "roman-one", "roman-xl", "ransac")
 assert set(_ABLATED) <= set(METHODS)
 # Three thousand objects in each map, of which 750 are in both.
@@ -177,11 +175,7 @@ def _of_apartments(maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]
             f"{error.rotation_deg:.3f} deg, chance 10^{answer.log10_chance:.0f}",
             flush=True,
         )
-    bent = [align(map_a, bent_map(map_b, _DRIFT_DEG_PER_M)) for map_a, map_b in maps.values()]
-    figures = [
-        figure("apartments_found", sum(error.is_success for error in errors)),
-        figure("apartments_found_drifting", sum(isinstance(one, Alignment) for one in bent)),
-    ]
+    figures = [figure("apartments_found", sum(error.is_success for error in errors))]
     if errors:
         figures += [
             figure("apartments_trans_m", np.mean([e.translation_m for e in errors]), "m", "lower"),

@@ -47,7 +47,6 @@ class Options:
     scenes: tuple[Path, ...] = ()
     meshes: Path | None = None
     clouds: Path | None = None
-    render: Path | None = None
     state: Path = Path("out/bench")
     only: tuple[str, ...] = ()
     minutes: float = math.inf

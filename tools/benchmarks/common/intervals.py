@@ -4,18 +4,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
-_Z = 1.959964
 _RESAMPLES = 2000
 
 
 def wilson(found: int, total: int) -> tuple[float, float]:
     """Return the interval of Wilson's score for a share of `total` >= 1."""
-    ratio, z2 = found / total, _Z * _Z
-    middle = ratio + z2 / (2 * total)
-    half = _Z * np.sqrt(ratio * (1 - ratio) / total + z2 / (4 * total * total))
-    scale = 1 + z2 / total
-    return max(0.0, float((middle - half) / scale)), min(1.0, float((middle + half) / scale))
+    found_of = binomtest(found, total).proportion_ci(method="wilson")
+    return float(found_of.low), float(found_of.high)
 
 
 def bootstrap(

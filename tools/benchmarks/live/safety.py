@@ -21,6 +21,7 @@ from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, 
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_points, sorted_unique, union
 from hickory_stream.navigation.stand_ins import SeenSurface, early_obstacles
 from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.testing import RememberingSink
 from players import make_source_note, open_from_note
 from players.options import SourceOptions
 from players.playback import PlaybackClock
@@ -45,23 +46,6 @@ class Safety:
     contained: list[float] = field(default_factory=list)
     avoided: list[float] = field(default_factory=list)
     volumes: list[float] = field(default_factory=list)
-
-
-class Collected:
-    """A sink that only stores reports: a live run does not wait, and its evaluation takes longer than mapping."""
-
-    def __init__(self) -> None:
-        self.reports: list[FrameReport] = []
-        self.last: MapSnapshot | None = None
-
-    def show(self, report: FrameReport) -> None:
-        if report.snapshot is not None:
-            self.last = report.snapshot
-            if report.frame is not None and report.space is not None:
-                self.reports.append(report)
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class Evaluation:
@@ -127,7 +111,8 @@ class Evaluation:
 
 def early_safety(log: Path, out: Path, *, seconds: float, has_shapes: bool = True) -> Safety:
     """Map the beginning of a log live, and return how soon and how well its things were avoided."""
-    collected = Collected()
+    # A live run does not wait, and its evaluation takes longer than mapping.
+    collected = RememberingSink()
     config = read_config(MapperConfig, None, () if has_shapes else (NO_SHAPES,))
     source = open_from_note(
         make_source_note([str(log)], SourceOptions(), end_s=seconds), PlaybackClock(1.0), config.keyframes
@@ -141,10 +126,12 @@ def early_safety(log: Path, out: Path, *, seconds: float, has_shapes: bool = Tru
     asyncio.run(run())
     source.close()
     evaluation = Evaluation(load_truth(log.with_suffix(".truth")))
-    for report in collected.reports:
-        evaluation.add(report)
-    if collected.last is not None:
-        evaluation.end(collected.last)
+    mapped = [report for report in collected.reports if report.snapshot is not None]
+    for report in mapped:
+        if report.frame is not None and report.space is not None:
+            evaluation.add(report)
+    if mapped and (last := mapped[-1].snapshot) is not None:
+        evaluation.end(last)
     return evaluation.found
 
 

@@ -22,6 +22,7 @@ from hickory_stream.cli import main
 from players import SourceOptions
 from players.doctor.diagnosis import SOUND, examine
 from tools.benchmarks.common.figures import Figure, Options, figure
+from tools.damage.damaging import write_mcap
 from tools.worlds.layouts import RosMessages
 
 _DEMO = Path("recordings/demo.mcap")
@@ -80,20 +81,7 @@ def _rows(start_s: float, seconds: float) -> list[Row]:
 
 def write_log(path: Path, rows: Iterator[Row] | list[Row]) -> Path:
     """Write an MCAP file without compression, as recorders do for raw images."""
-    from mcap.writer import CompressionType, Writer
-
-    with path.open("wb") as stream:
-        writer, channels = Writer(stream, chunk_size=4 << 20, compression=CompressionType.NONE), dict[str, int]()
-        writer.start(profile="ros2")
-        for row in rows:
-            kind = row.message.__msgtype__
-            if row.topic not in channels:
-                text = _ros().store.generate_msgdef(kind, ros_version=2)[0].encode()
-                schema = writer.register_schema(kind, "ros2msg", text)
-                channels[row.topic] = writer.register_channel(row.topic, "cdr", schema)
-            writer.add_message(channels[row.topic], row.log_ns, _ros().data(row.message), row.log_ns)
-        writer.finish()
-    return path
+    return write_mcap(path, ((row.topic, row.log_ns, row.message) for row in rows), "none", 4 << 20)
 
 
 def _headers(row: Row) -> list[Any]:
@@ -157,18 +145,9 @@ def _poses(change: Callable[[Any], None]) -> Change:
     return changed
 
 
-def _nan_place(pose: Any) -> None:
-    pose.position.x = float("nan")
-
-
-def _zero_turn(pose: Any) -> None:
-    pose.orientation.x = pose.orientation.y = pose.orientation.z = pose.orientation.w = 0.0
-
-
 def _in_mm(pose: Any) -> None:
-    pose.position.x, pose.position.y, pose.position.z = (
-        1000 * value for value in (pose.position.x, pose.position.y, pose.position.z)
-    )
+    for axis in "xyz":
+        setattr(pose.position, axis, 1000 * getattr(pose.position, axis))
 
 
 def _rest(rows: list[Row]) -> None:
@@ -183,37 +162,26 @@ def _cut_short(image: Any) -> None:
     image.data = image.data[: len(image.data) // 3]
 
 
-def _no_k(info: Any) -> None:
-    info.k, info.p = np.zeros(9), np.zeros(12)
-
-
 def _other_k(info: Any) -> None:
     info.k, info.p = info.k * ([2.0] * 8 + [1.0]), info.p * ([2.0] * 10 + [1.0] * 2)
 
 
-def _nan_d(info: Any) -> None:
-    info.distortion_model, info.d = "plumb_bob", np.full(5, np.nan)
+def _with(**values: Any) -> Callable[[Any], None]:
+    def change(message: Any) -> None:
+        for name, value in values.items():
+            setattr(message, name, value)
+
+    return change
 
 
-def _other_size(info: Any) -> None:
-    info.width, info.height = 1920, 800
-
-
-def _long_d(info: Any) -> None:
-    info.distortion_model, info.d = "plumb_bob", np.full(17, 0.01)
-
-
-def _unnamed_lens(info: Any) -> None:
-    info.distortion_model, info.d = "own_model", np.full(5, 0.1)
-
-
+_no_k = _with(k=np.zeros(9), p=np.zeros(12))
 CALIBRATIONS: dict[str, tuple[Callable[[Any], None], str]] = {
     "K of zeros": (_no_k, "K|focal|calibrat"),
     "K of twice the size": (_other_k, "K|focal|size|middle|calibrat|far for|near for"),
-    "D of NaN": (_nan_d, "D |distortion"),
-    "another size": (_other_size, "size|pixels|1920"),
-    "D of 17 numbers": (_long_d, "D |distortion|coefficients"),
-    "an unknown lens": (_unnamed_lens, "own_model|distortion|lens"),
+    "D of NaN": (_with(distortion_model="plumb_bob", d=np.full(5, np.nan)), "D |distortion"),
+    "another size": (_with(width=1920, height=800), "size|pixels|1920"),
+    "D of 17 numbers": (_with(distortion_model="plumb_bob", d=np.full(17, 0.01)), "D |distortion|coefficients"),
+    "an unknown lens": (_with(distortion_model="own_model", d=np.full(5, 0.1)), "own_model|distortion|lens"),
 }
 
 # Logs whose map would be empty, or worthless.
@@ -239,8 +207,8 @@ EMPTY: dict[str, Change] = {
     "colour that ends": _without(_COLOR, from_s=0.3),
     "no calibration": _without(*_INFOS),
     "no links": _without("/tf_static"),
-    "poses of NaN": _poses(_nan_place),
-    "turns of zero": _poses(_zero_turn),
+    "poses of NaN": _poses(lambda pose: _with(x=np.nan)(pose.position)),
+    "turns of zero": _poses(lambda pose: _with(x=0.0, y=0.0, z=0.0, w=0.0)(pose.orientation)),
     "poses in mm": _poses(_in_mm),
     "K of zeros": _each(_INFOS, _no_k),
 }

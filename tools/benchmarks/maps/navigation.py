@@ -53,7 +53,6 @@ class Speeds:
     """CPU seconds of one scene: the grid of all objects, one object's update, and each first path."""
 
     grid_s: float
-    field_s: float
     update_s: list[float]
     first_path_s: list[float]
 
@@ -85,7 +84,6 @@ def measure(options: Options) -> list[Figure]:
     ]
     if with_one:
         each = [found for tables in under for found in tables]
-        figures.append(figure("under_table_found_fraction", np.mean(with_one)))
         figures.append(figure("under_each_table_found_fraction", np.mean(each)))
     if not (options.scenes or options.quick):
         figures += [replace(one, name=f"map_{one.name}") for one in _of_rows(_rows_of_maps(robot, trials, seeds))]
@@ -122,7 +120,6 @@ def _of_speeds(speeds: list[Speeds]) -> list[Figure]:
     updates_s = [seconds for one in speeds for seconds in one.update_s]
     return [
         figure("grid_seconds", np.mean([one.grid_s for one in speeds]), "s", "lower"),
-        figure("distance_field_seconds", np.mean([one.field_s for one in speeds]), "s", "lower"),
         figure("update_seconds", np.mean(updates_s), "s", "lower"),
         figure("update_seconds_max", np.max(updates_s), "s", "lower"),
         figure("first_path_median_ms", np.median(first_ms), "ms", "lower"),
@@ -164,7 +161,6 @@ def _speeds(obstacles: Obstacles, scene: TrueScene, robot: Robot, pairs: NDArray
     ]
     return Speeds(
         grid_s=least_s(stamped, 9),
-        field_s=least_s(lambda: distance_field_m(grid.is_occupied(), frame.cell_m), 5),
         update_s=[least_s(lambda i=i, q=q: grid.put(i, q), 7) for i, q in obstacles.inflated.items()],
         first_path_s=first,
     )

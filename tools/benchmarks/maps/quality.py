@@ -1,4 +1,4 @@
-"""Maps of apartments and table-tops against truth, the choice of views, and the speed."""
+"""Maps of apartments and table-tops against truth, and the speed."""
 # A scene is a truth folder NAME.truth with its log NAME.mcap beside it; it is a table-top where the median diameter of
 # its true objects that count is below 0.4 m, else an apartment. Pages with pictures go to out/quality/.
 
@@ -19,9 +19,6 @@ from tools.benchmarks.common.baseline import QUICK
 from tools.benchmarks.common.cached_runs import walk_recording
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, ROOT, play
-from tools.benchmarks.maps.views import trials_of
-from tools.evaluation.views.comparison import compare, verdict
-from tools.evaluation.views.trials import BEST, OURS
 from tools.worlds.cache import cached_recording
 
 _PAGES = ROOT / "out" / "quality"
@@ -69,8 +66,8 @@ class Scene:
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a figure that was not measured is absent."""
-    # A quick run plays the embedded recording alone, unless it is given scenes, and compares no strategies; `--only
-    # apartments` plays one walk through each of two apartments. Their figures have names of their own.
+    # A quick run plays the embedded recording alone, unless it is given scenes; `--only apartments` plays
+    # one walk through each of two apartments. Their figures have names of their own.
     is_part = options.quick or bool(options.only)
     scenes = []
     with tempfile.TemporaryDirectory() as temporary:
@@ -83,7 +80,7 @@ def measure(options: Options) -> list[Figure]:
         prefix = QUICK if options.quick else _TWO
         return [replace(one, name=prefix + one.name) for one in figures]
     _write_index(scenes)
-    return figures + _of_strategies(scenes)
+    return figures
 
 
 def _scenes(options: Options) -> list[Scene]:
@@ -152,18 +149,6 @@ def _figures(scenes: list[Scene]) -> list[Figure]:
         figures.append(figure("containment", np.mean(contained)))
     factor = sum(scene.log_s for scene in timed) / sum(scene.wall_s for scene in timed)
     return [*figures, figure("realtime_factor", factor, "x")]
-
-
-def _of_strategies(scenes: list[Scene]) -> list[Figure]:
-    chosen = [next((scene for scene in scenes if scene.is_tabletop is kind), None) for kind in (False, True)]
-    scores = compare([trials_of(scene.log, scene.truth) for scene in chosen if scene is not None])
-    print(verdict(scores))
-    ours = next(score for score in scores if score.strategy == OURS)
-    others = [score for score in scores if score.strategy not in (OURS, BEST)]
-    return [
-        figure("s_beats_baselines", all(score.f1_5pct < ours.f1_5pct for score in others)),
-        *(figure(f"f1_by_strategy_{score.strategy}", score.f1_5pct) for score in (ours, *others)),
-    ]
 
 
 def _write_index(scenes: list[Scene]) -> None:

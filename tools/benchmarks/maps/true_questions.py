@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.evaluation.truth import Truth, mesh_of
+from hickory_stream.geometry.mesh import face_areas_m2
 from hickory_stream.geometry.rigid import apply
 
 _MIN_SEEN = 0.3
@@ -118,21 +119,9 @@ def _thing(truth: Truth, i: int) -> TrueThing:
     item = truth.objects[i]
     mesh = mesh_of(truth, item)
     world = apply(item.world_from_object, mesh.vertices.astype(np.float64))
-    color = _median_color(world, mesh.faces, mesh.colors / 255)
+    of_faces = (mesh.colors / 255)[mesh.faces].mean(axis=1)
+    color = np.quantile(of_faces, 0.5, axis=0, weights=face_areas_m2(mesh), method="inverted_cdf")
     return TrueThing(id=item.id, kind=item.kind, color=color, bounds=np.array([world.min(axis=0), world.max(axis=0)]))
-
-
-def _median_color(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], colors: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    of_faces = colors[faces].mean(axis=1)
-    middle = []
-    for channel in of_faces.T:
-        order = np.argsort(channel)
-        middle.append(channel[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
-    return np.array(middle)
 
 
 def _sides(one: TrueThing) -> NDArray[np.float64]:

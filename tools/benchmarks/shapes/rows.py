@@ -1,23 +1,16 @@
-"""One object of `tools/bench shapes`: its layers 3 and 4 beside the truth, in figures and as a picture."""
+"""One object of `tools/bench shapes`: its layers 3 and 4 beside the truth, in figures."""
 
 import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.geometry.rigid import invert
-from hickory_stream.geometry.superquadric import Superquadrics, moved
-from hickory_stream.geometry.superquadric_surface import display_mesh
-from hickory_stream.pictures.object_thumbnail import close_up_of, draw
-from hickory_stream.pictures.raycast import Surface
-from hickory_stream.pictures.render_parts import superquadric_surfaces
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.records import FitKind
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, Fitted, fitted_shape
 from hickory_stream.shapes.inflate.inflation import InflateConfig, Inflated, inflated
@@ -27,7 +20,6 @@ from tools.benchmarks.shapes.solids import Solid, grown_volume_ratio, sampled_io
 from tools.evaluation.shapes.meshes import test_mesh
 
 MARGIN_M = 0.05
-_PICTURE_PX = 320
 _NOISE, _STRETCH = 0.005, (0.02, 0.03)
 
 
@@ -72,27 +64,7 @@ def row_of(
         f"distance {row.distance_pct:.2f} %  "
         f"inflated {1e3 * row.inflate_seconds:5.1f} ms, {row.volume_ratio:.2f} x, {row.state}"
     )
-    if options.render is not None:
-        _render(options.render, row, upright, invert(turn))
     return row
-
-
-def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh: NDArray[np.float64]) -> None:
-    # Faces that meet at an edge share no vertex, so that each is shaded as the plane that it is.
-    shaded = trimesh.graph.smooth_shade(upright, angle=0.6)
-    grey = np.full((len(shaded.vertices), 3), 176, np.uint8)
-    mesh = Surface(vertices=np.asarray(shaded.vertices, np.float32), faces=shaded.faces, colors=grey, owner=0)
-    fitted, grown = (moved(found, upright_from_mesh) for found in (row.fitted, row.grown.primitives))
-    around = np.concatenate([display_mesh(grown, i)[0] for i in range(len(grown))])
-    near, far = (close_up_of(points, 0.6, _PICTURE_PX) for points in (upright.vertices, around))
-    drawn = (([mesh], near), (superquadric_surfaces(fitted, 1), near), (superquadric_surfaces(grown, 1), far))
-    picture = np.ascontiguousarray(np.concatenate([draw(*panel) for panel in drawn], axis=1)[..., ::-1])
-    fit_title = f"{len(fitted)} superquadrics, IoU {row.iou:.2f}"
-    for i, title in enumerate((row.name, fit_title, f"with 5 cm: {row.volume_ratio:.2f} x, {row.state}")):
-        place = (12 + i * _PICTURE_PX, 24)
-        cv2.putText(picture, title, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (60, 60, 60), 1, cv2.LINE_AA)
-    folder.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(folder / f"{row.name.replace(' ', '-')}.png"), picture)
 
 
 def fit(mesh: trimesh.Trimesh) -> Fitted:
