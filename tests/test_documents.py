@@ -1,5 +1,6 @@
 import pytest
-from tools.benchmarks.common.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
+from tests.readmes import unmarked_tables
+from tools.benchmarks.common.documents import MEASURED, filled_in, keep, without_age
 from tools.benchmarks.common.figures import Figure
 from tools.readmes import READMES
 

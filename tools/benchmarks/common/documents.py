@@ -30,10 +30,6 @@ _MOST_IN_A_CELL = 40
 _NONE = "*No measurement is kept yet: `tools/bench {name} --write-docs` makes one.*"
 _COMMENT = re.compile(r"<!-- (.*?) -->")
 _ABSENT = "not measured"
-_TABLE = re.compile(r"^(?P<rows>(?:\|.*\n)+)\n*(?P<after>.*)", re.MULTILINE)
-_MARK = re.compile(r"\*Typed figures.*\b[0-9a-f]{7}, \d{4}-\d\d-\d\d: older than the code")
-_NO_FIGURE = re.compile(r"`[^`]*`|\b(19|20)\d\d\b")
-_FIGURES, _SHARE = 4, 0.5
 _WIDTH = 120
 
 CodeOf = Callable[[str, str], str]
@@ -118,22 +114,6 @@ def filled_in(text: str, *, folder: Path, code_of: CodeOf) -> str:
         return "\n".join([*lines, *([""] if lines else []), *captions])
 
     return filled(text, _OPENING, _CLOSING, write)
-
-
-def unmarked_tables(text: str) -> list[str]:
-    """Return the first rows of the tables of figures that are neither generated nor marked as typed."""
-    # A table of figures has a number in most cells beside its first column; years are no figures. Below a typed one
-    # stands a line such as `*Typed figures of commit d752b20, 2026-11-22: older than the code.*`.
-    rest = re.sub(rf"{_OPENING}\n.*?{re.escape(_CLOSING)}", "", text, flags=re.DOTALL)
-    found = []
-    for table in _TABLE.finditer(rest):
-        header, _, *rows = table["rows"].splitlines()
-        cells = [_NO_FIGURE.sub("", cell) for row in rows for cell in _cells(row)[1:]]
-        num_figures = sum(bool(re.search(r"\d", cell)) for cell in cells)
-        is_of_figures = num_figures >= _FIGURES and num_figures >= _SHARE * len([*filter(None, cells)])
-        if any(_cells(header)) and is_of_figures and not _MARK.match(table["after"]):
-            found.append(rows[0])
-    return found
 
 
 def without_age(text: str) -> str:

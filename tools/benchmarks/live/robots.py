@@ -95,7 +95,6 @@ def _transport(sample: Sample, seed: int, folder: Path) -> list[Figure]:
         found = list(pool.map(measured, routes))
     unaccounted = sum(_unaccounted(sent, came) for sent, came in found)
     lost = [1.0 - sum(came["totals"].values()) / sum(sent["sent"].values()) for sent, came in found]
-    robots = [sent["cpu_s"] / sent["wall_s"] for sent, _ in found]
     waits_s = [wait_s for _, came in found for wait_s in came["wait_s"]]
     shares = {via.replace("-", "_"): came["cpu_share"] for via, (_, came) in zip(routes, found, strict=True)}
     of = "1280x720 JPEG and raw 16-bit depth at 30 Hz, not mapped; the worst route"
@@ -110,7 +109,6 @@ def _transport(sample: Sample, seed: int, folder: Path) -> list[Figure]:
         figure("live_lost_fraction", max(lost), "share", "lower", "no loss injected; the worst route"),
         figure("live_transport_core_share", max(shares.values()), "cores", "lower", of),
         *(figure(f"live_transport_core_share_{via}", value, "cores", "lower") for via, value in shares.items()),
-        figure("live_robot_core_share", max(robots), "cores", "same", "the fake robot's own"),
         figure(
             "live_pairing_p95_ms", 1e3 * _percentile(waits_s), "ms", "lower", "from a frame's last image to the frame"
         ),
@@ -173,7 +171,6 @@ def _storm(sample: Sample, seed: int, folder: Path) -> list[Figure]:
     return [
         figure("storm_crashes", 0, "crashes", "lower", of),
         figure("storm_unaccounted", _unaccounted(sent, came), "messages", "lower"),
-        figure("storm_frames", came["frames"], "frames"),
         figure("storm_peak_mb", came["peak_mb"], "MB", "lower"),
     ]
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.truth import Truth, instances_of, load_truth
+from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -23,7 +23,8 @@ from tools.benchmarks.perception.keyframe_memory import WARM_KEYFRAMES, keyframe
 from tools.benchmarks.perception.network_times import network_times
 from tools.evaluation.masks.first_layer import PlayedKeyframe, play_first_layer
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
-from tools.evaluation.masks.scores import UNKNOWN, MaskScore, min_pixels, score_masks, total
+from tools.evaluation.masks.scores import MaskScore, min_pixels, score_masks, total
+from tools.evaluation.oracle_ablation import TrueImages
 from tools.worlds.cache import cached_recording
 
 _CLOUDS = ROOT.parent / "shared" / "data" / "mosd"
@@ -91,8 +92,7 @@ def _logs(options: Options) -> list[Path]:
 
 
 def _played(log: Path) -> Played:
-    truth = load_truth(log.with_suffix(".truth"))
-    stamps = np.array([frame.stamp_ns for frame in truth.frames])
+    images = TrueImages(load_truth(log.with_suffix(".truth")))
     scores: list[MaskScore] = []
     features: dict[int, list[NDArray[np.float32]]] = defaultdict(list)
     frames: list[PlayedKeyframe] = []
@@ -101,7 +101,7 @@ def _played(log: Path) -> Played:
         saved = seen.metrics["core/features_saved"]
         if i % _SCORED_EVERY:
             continue
-        shown = _shown(truth, int(np.argmin(np.abs(stamps - seen.frame.stamp_ns))))
+        shown = images.at(seen.frame.stamp_ns)
         scores.append(score_masks(seen.perceived.segmentation.instances, shown, min_pixels(shown)))
         for thing, feature in _features(seen, shown):
             features[thing].append(feature)
@@ -110,12 +110,6 @@ def _played(log: Path) -> Played:
     score, (same, different) = total(scores), _cosines(features)
     print(f"{log.stem}: {_line(score)}, {saved:.0%} of the feature evaluations saved", flush=True)
     return Played(score=score, same=same, different=different, saved=saved, frames=frames)
-
-
-def _shown(truth: Truth, index: int) -> NDArray[np.int32]:
-    shown = instances_of(truth, truth.frames[index]).astype(np.int32)
-    is_known = np.isin(shown, [0, *(item.id for item in truth.objects)])
-    return np.where(is_known, shown, UNKNOWN).astype(np.int32)
 
 
 def _features(seen: PlayedKeyframe, shown: NDArray[np.int32]) -> list[tuple[int, NDArray[np.float32]]]:

@@ -9,7 +9,6 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.records import FitKind
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, Fitted, fitted_shape
@@ -18,6 +17,7 @@ from tools.benchmarks.common.figures import Options
 from tools.benchmarks.common.processes import best_s
 from tools.benchmarks.shapes.solids import Solid, grown_volume_ratio, sampled_iou, surface_distance_pct, volumetric_iou
 from tools.evaluation.shapes.meshes import test_mesh
+from tools.evaluation.shapes.spoiled_generator import plain_mesh
 
 MARGIN_M = 0.05
 _NOISE, _STRETCH = 0.005, (0.02, 0.03)
@@ -68,16 +68,7 @@ def row_of(
 
 
 def fit(mesh: trimesh.Trimesh) -> Fitted:
-    count = len(mesh.vertices)
-    return fitted_shape(
-        Mesh(
-            vertices=np.asarray(mesh.vertices, dtype=np.float32),
-            faces=np.asarray(mesh.faces, dtype=np.int32),
-            colors=np.zeros((count, 3), np.uint8),
-            is_seen=np.ones(count, bool),
-        ),
-        FitConfig(),
-    )
+    return fitted_shape(plain_mesh(mesh.vertices, mesh.faces), FitConfig())
 
 
 def _inflated(mesh: trimesh.Trimesh, fitted: Superquadrics) -> Inflated:
