@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import Trial, noise_floor, run_trial
 
-J, R = TypeVar("J"), TypeVar("R")
+R = TypeVar("R")
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
 _ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "roman-one", "roman-xl", "ransac")
@@ -102,11 +102,7 @@ def _of_ablation(options: Options) -> list[Figure]:
 
 
 def _run(config: SimulationConfig, count: int, seed: int, method: Method) -> list[Trial]:
-    return _in_processes(_trial, [(config, _seed(seed, i), method) for i in range(count)])
-
-
-def _trial(job: tuple[SimulationConfig, int, Method]) -> Trial:
-    return run_trial(*job)
+    return _in_processes(run_trial, [(config, _seed(seed, i), method) for i in range(count)])
 
 
 def _of_unrelated(options: Options, maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]:
@@ -123,8 +119,8 @@ def _of_unrelated(options: Options, maps: dict[int, tuple[ObjectMap, ObjectMap]]
     return [figure("non_overlapping_pairs", count + len(different)), figure("false_accepts", accepted, "", "lower")]
 
 
-def _is_accepted(job: tuple[SimulationConfig, int]) -> bool:
-    pair = simulate_unrelated(*job)
+def _is_accepted(config: SimulationConfig, seed: int) -> bool:
+    pair = simulate_unrelated(config, seed)
     return isinstance(align(pair.map_a, pair.map_b), Alignment)
 
 
@@ -133,8 +129,8 @@ def _pool() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn"))
 
 
-def _in_processes(function: Callable[[J], R], jobs: Sequence[J]) -> list[R]:
-    return list(_pool().map(function, jobs, chunksize=max(len(jobs) // 16, 1)))
+def _in_processes(function: Callable[..., R], jobs: Sequence[tuple[Any, ...]]) -> list[R]:
+    return list(_pool().map(function, *zip(*jobs, strict=True), chunksize=max(len(jobs) // 16, 1)))
 
 
 def _of_times(options: Options) -> list[Figure]:

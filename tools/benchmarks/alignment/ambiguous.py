@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -42,8 +43,10 @@ AmbiguousTrial = tuple[str, bool, bool, bool]
 def ambiguous_figures(options: Options, in_processes: Any) -> list[Figure]:
     """Return the figures; `in_processes` maps a function over jobs in other processes."""
     quick, seed = options.quick, options.seed
-    figures = _of_places(in_processes(_uniform_trial, _places(seed, 2 if quick else 40)), "")
-    figures += _of_places(in_processes(_furnished_trial, _places(seed, 1 if quick else 10)), "_worlds")
+    figures = _of_places(in_processes(_ambiguous_trial, _places(seed, 2 if quick else 40)), "")
+    figures += _of_places(
+        in_processes(partial(_ambiguous_trial, draw=furnished), _places(seed, 1 if quick else 10)), "_worlds"
+    )
     first, count = 1000 * seed + _FIRST_APARTMENT, 6 if quick else 40
     seeds = range(first, first + count)
     figures += _of_apartments(in_processes(_apartment_trial, [*combinations(seeds, 2), *((i, i) for i in seeds)]))
@@ -63,19 +66,11 @@ def _places(seed: int, trials: int) -> list[tuple[AmbiguousConfig, int]]:
     ]
 
 
-def _uniform_trial(job: tuple[AmbiguousConfig, int]) -> AmbiguousTrial:
-    return _ambiguous_trial(job, uniform)
-
-
-def _furnished_trial(job: tuple[AmbiguousConfig, int]) -> AmbiguousTrial:
-    return _ambiguous_trial(job, furnished)
-
-
-def _ambiguous_trial(job: tuple[AmbiguousConfig, int], draw: Draw) -> AmbiguousTrial:
-    pair = simulate_ambiguous(*job, draw)
+def _ambiguous_trial(config: AmbiguousConfig, seed: int, draw: Draw = uniform) -> AmbiguousTrial:
+    pair = simulate_ambiguous(config, seed, draw)
     answer = align(pair.map_a, pair.map_b)
     is_right = len(pair.common) > 0 and _is_right(answer, pair)
-    return job[0].kind, job[0].is_decidable, is_right, isinstance(answer, Alignment) and not is_right
+    return config.kind, config.is_decidable, is_right, isinstance(answer, Alignment) and not is_right
 
 
 def _is_right(answer: object, pair: SimulatedPair) -> bool:
@@ -100,9 +95,9 @@ def _of_places(trials: Iterable[AmbiguousTrial], suffix: str) -> list[Figure]:
     return figures
 
 
-def _apartment_trial(job: tuple[int, int]) -> tuple[bool, bool, bool]:
-    is_one, difficulty = job[0] == job[1], _DIFFICULTIES[sum(job) // 2 % 2]
-    pair = shared_apartment(job[0], difficulty) if is_one else unrelated_apartments(job, difficulty)
+def _apartment_trial(one: int, other: int) -> tuple[bool, bool, bool]:
+    is_one, difficulty = one == other, _DIFFICULTIES[(one + other) // 2 % 2]
+    pair = shared_apartment(one, difficulty) if is_one else unrelated_apartments((one, other), difficulty)
     answer = align(pair.map_a, pair.map_b)
     return is_one, isinstance(answer, Alignment), is_one and _is_right(answer, pair)
 
@@ -117,8 +112,8 @@ def _of_apartments(trials: Iterable[tuple[bool, bool, bool]]) -> list[Figure]:
     ]
 
 
-def _square_trial(job: tuple[SimulationConfig, int]) -> float | None:
-    pair = simulate_pair(*job)
+def _square_trial(config: SimulationConfig, seed: int) -> float | None:
+    pair = simulate_pair(config, seed)
     answer = align(pair.map_a, pair.map_b)
     return normalised_square(answer, pair.a_from_b) if isinstance(answer, Alignment) else None
 

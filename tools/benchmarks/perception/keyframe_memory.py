@@ -2,7 +2,7 @@
 # The memory of the process before is subtracted. Memory that a later round takes beyond the first was not released.
 # Linux alone.
 
-import argparse
+import sys
 from collections import deque
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ class KeyframeMemory:
 
 def keyframe_memory(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
     """Return the memory of layer 1 on the first keyframes of a log, measured in a child process."""
-    return KeyframeMemory(**json_of("-m", __name__, log, "--keyframes", keyframes, "--rounds", rounds))
+    return KeyframeMemory(**json_of("-m", __name__, log, keyframes, rounds))
 
 
 def _measured(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
@@ -59,8 +59,4 @@ def _measured(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("log", type=Path)
-    parser.add_argument("--keyframes", type=int, required=True)
-    parser.add_argument("--rounds", type=int, required=True)
-    print(dumps(asdict(_measured(**vars(parser.parse_args())))))
+    print(dumps(asdict(_measured(Path(sys.argv[1]), keyframes=int(sys.argv[2]), rounds=int(sys.argv[3])))))
