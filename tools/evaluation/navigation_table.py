@@ -281,8 +281,6 @@ def draw_pairs(truth: TrueScene, count: int, seed: int) -> NDArray[np.float64]:
 def score(
     method: Built, truth: TrueScene, pairs: NDArray[np.float64], optimal_m: NDArray[np.float64], config: SearchConfig
 ) -> MethodScore:
-    import time
-
     straight = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
     lengths = np.full(len(pairs), np.nan)
     started = time.process_time()
@@ -344,10 +342,6 @@ def format_table(rows: Sequence[MethodScore]) -> str:
 R_SAFE_M = 0.02
 
 
-def first_posture(robot: Robot) -> Robot:
-    return replace(robot, postures=robot.postures[:1])
-
-
 def truth_of(truth: Truth, robot: Robot, *, cell_m: float, floor_z_m: float, r_safe_m: float = R_SAFE_M) -> TrueScene:
     """Return the true scene on a grid that spans its structure, or its objects if it has no structure."""
     structure = [triangles(mesh) for mesh in structure_meshes(truth)]
@@ -374,7 +368,7 @@ def score_saved_map(
 ) -> list[MethodScore]:  # fmt: skip
     """Return the table of a map that the pipeline made; all methods are given its observed walls and unknown space."""
     # The map must be in the frame of the truth, as it is if its log was played with true poses.
-    robot = first_posture(robot)
+    robot = replace(robot, postures=robot.postures[:1])
     snapshot = saved.snapshot
     floor = floor_of(snapshot)
     margins = [tracked.shape.containment.margin_m for tracked in snapshot.objects if tracked.shape is not None]

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from tools.evaluation.simulated_maps.simulate import (
     Difficulty,
     SimulatedObject,
@@ -71,15 +71,7 @@ def simulate_ambiguous(config: AmbiguousConfig, seed: int, draw: Draw = uniform)
     seen_b = rng.permutation(np.flatnonzero(in_b & (rng.random(len(objects)) < config.seen)))
     reach_m = float(np.ptp([item.place[:2] for item in objects], axis=0).max())
     a_from_world, b_from_world = random_pose(config.tilt_deg, reach_m, rng), random_pose(0.0, reach_m, rng)
-    both, rank_a, rank_b = np.intersect1d(seen_a, seen_b, return_indices=True)
-    places = np.array([objects[i].place for i in both]).reshape(-1, 3)
-    return SimulatedPair(
-        map_a=place.world.observe([objects[i] for i in seen_a], a_from_world),
-        map_b=place.world.observe([objects[i] for i in seen_b], b_from_world),
-        a_from_b=a_from_world @ invert(b_from_world),
-        common=np.stack([rank_a, rank_b], axis=1).astype(np.int64),
-        common_centroids_a=apply(a_from_world, places),
-    )
+    return place.world.pair(objects, seen_a, seen_b, a_from_world, b_from_world)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
+from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
 from hickory_stream.worlds.furniture import chair
 from hickory_stream.worlds.object_models import Model
@@ -84,15 +84,7 @@ def _pair(
 ) -> SimulatedPair:
     in_a, in_b = (rng.permutation(np.flatnonzero(part)) for part in seen)
     a_from_world, b_from_world = (random_pose(0.0, _REACH_M, rng) for _ in seen)
-    both, rank_a, rank_b = np.intersect1d(in_a, in_b, return_indices=True)
-    places = np.array([objects[i].place for i in both]).reshape(-1, 3)
-    return SimulatedPair(
-        map_a=world.observe([objects[i] for i in in_a], a_from_world),
-        map_b=world.observe([objects[i] for i in in_b], b_from_world),
-        a_from_b=a_from_world @ invert(b_from_world),
-        common=np.stack([rank_a, rank_b], axis=1).astype(np.int64),
-        common_centroids_a=apply(a_from_world, places),
-    )
+    return world.pair(objects, in_a, in_b, a_from_world, b_from_world)
 
 
 def _new(world: SimulatedWorld, furniture: Sequence[_Furniture]) -> list[SimulatedObject]:

@@ -187,6 +187,21 @@ class SimulatedWorld:
             points=(None,) * len(objects),
         )  # fmt: skip
 
+    def pair(
+        self, objects: list[SimulatedObject], in_a: NDArray[np.int64], in_b: NDArray[np.int64],
+        a_from_world: NDArray[np.float64], b_from_world: NDArray[np.float64],
+    ) -> SimulatedPair:  # fmt: skip
+        """Return two maps of these objects; `in_a` and `in_b` are the indices of what each has, in its order."""
+        both, rank_a, rank_b = np.intersect1d(in_a, in_b, return_indices=True)
+        places = np.array([objects[i].place for i in both]).reshape(-1, 3)
+        return SimulatedPair(
+            map_a=self.observe([objects[i] for i in in_a], a_from_world),
+            map_b=self.observe([objects[i] for i in in_b], b_from_world),
+            a_from_b=a_from_world @ invert(b_from_world),
+            common=np.stack([rank_a, rank_b], axis=1).astype(np.int64),
+            common_centroids_a=apply(a_from_world, places),
+        )
+
     def _observed_shape(self, item: SimulatedObject, map_from_world: NDArray[np.float64]) -> Superquadrics:
         rng = self._rng
         varied = _varied(item.shape, _EXPONENT_NOISE, _AXIS_NOISE, rng)
