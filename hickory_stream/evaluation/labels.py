@@ -7,7 +7,6 @@ are `name` or `kind`, `ignore`, and `seen_center` with `seen_size` for the part 
 
 import json
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +53,10 @@ def score_labels(
     depth_on: Mapping[int, int] | None = None,
 ) -> Score:
     """Return the score of a map against labelled boxes; `meshes` holds layer 2 by object id, in the object frames."""
-    owner_of = partial(_owner, labels=labels)
-    return score_of(labels, snapshot, meshes, depth_on, owner_of=owner_of, is_structure=lambda _: False)
+    return score_of(
+        labels, snapshot, meshes, depth_on, owner_of=lambda tracked: _owner(tracked.points_world, labels),
+        is_structure=lambda _: False,
+    )  # fmt: skip
 
 
 def _owner(points_world: NDArray[np.float32], labels: Sequence[TrueBox]) -> int | None:

@@ -158,9 +158,9 @@ def score_map(
         TrueBox(id=item.id, kind=item.kind, counts=item.seen_fraction >= MIN_SEEN, boxes=(box,))
         for item, box in zip(truth.objects, boxes, strict=True)
     ]
-    scene, all_of_it = Scene(surfaces), Scene([*surfaces, *structure_surfaces(truth)])
+    all_of_it = Scene([*surfaces, *structure_surfaces(truth)])
     return score_of(
-        true, snapshot, meshes, depth_on, owner_of=lambda points_world: _owner(points_world, scene),
+        true, snapshot, meshes, depth_on, owner_of=lambda tracked: _owner(tracked, all_of_it),
         is_structure=lambda fixture: _lies_on_structure(fixture, all_of_it),
     )  # fmt: skip
 
@@ -171,18 +171,18 @@ def score_of(
     meshes: Mapping[int, Mesh],
     depth_on: Mapping[int, int] | None,
     *,
-    owner_of: Callable[[NDArray[np.float32]], int | None],
+    owner_of: Callable[[TrackedObject], int | None],
     is_structure: Callable[[TrackedObject], bool],
 ) -> Score:
     """Return the score of a map against boxes.
 
-    `owner_of` returns the true object that (N, 3) points lie on, if any; `is_structure` whether a fixture is structure.
+    `owner_of` returns the true object that an object lies on, if any; `is_structure` whether a fixture is structure.
     `depth_on` holds the number of keyframes with depth on each true object.
     """
     counting, ignored = [item for item in true if item.counts], [item for item in true if not item.counts]
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
     boxes = [best_box(tracked, meshes) for tracked in objects]
-    owners = [owner_of(tracked.points_world) for tracked in objects]
+    owners = [owner_of(tracked) for tracked in objects]
 
     ious = _best_ious(counting, boxes)
     loose, strict = _matches(ious, LOOSE_IOU), _matches(ious, STRICT_IOU)
@@ -267,24 +267,26 @@ def structure_surfaces(truth: Truth) -> list[Surface]:
     return [surface_of_mesh(mesh, STRUCTURE) for mesh in structure_meshes(truth)]
 
 
-def shares_on(points_world: NDArray[np.float32], scene: Scene, reach_m: float = SURFACE_REACH_M) -> dict[int, float]:
-    """Return the share of (N, 3) points that are nearest to each owner's surface, and within reach of it."""
-    some = points_world[:: max(1, len(points_world) // _MAX_POINTS)]
+def shares_on(tracked: TrackedObject, scene: Scene) -> dict[int, float]:
+    """Return the share of an object's points that are nearest to each owner's surface, and within reach of it.
+
+    The reach is 3 cm, or one sigma of depth at the farthest view, by the law of a camera of which nothing is known.
+    """
+    eyes = np.array([view.world_from_camera[:3, 3] for view in tracked.views]).reshape(-1, 3)
+    depth_m = np.linalg.norm(eyes - tracked.box.center, axis=1).astype(np.float32)
+    reach_m = float(DepthSensor().sigma_m(depth_m).max(initial=SURFACE_REACH_M))
+    some = tracked.points_world[:: max(1, len(tracked.points_world) // _MAX_POINTS)]
     distance_m, owners = scene.nearest(some)
     ids, counts = np.unique(owners[distance_m <= reach_m], return_counts=True)
     return {int(i): float(count / len(some)) for i, count in zip(ids, counts, strict=True)}
 
 
 def _lies_on_structure(fixture: TrackedObject, scene: Scene) -> bool:
-    # The reach is one sigma of depth at the farthest view, by the law of a camera of which nothing is known.
-    eyes = np.array([view.world_from_camera[:3, 3] for view in fixture.views]).reshape(-1, 3)
-    depth_m = np.linalg.norm(eyes - fixture.box.center, axis=1).astype(np.float32)
-    reach_m = float(DepthSensor().sigma_m(depth_m).max(initial=SURFACE_REACH_M))
-    return shares_on(fixture.points_world, scene, reach_m).get(STRUCTURE, 0.0) > 0.5
+    return shares_on(fixture, scene).get(STRUCTURE, 0.0) > 0.5
 
 
-def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
-    return next((i for i, share in shares_on(points_world, true_scene).items() if share > 0.5), None)
+def _owner(tracked: TrackedObject, scene: Scene) -> int | None:
+    return next((i for i, share in shares_on(tracked, scene).items() if share > 0.5 and i != STRUCTURE), None)
 
 
 def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:

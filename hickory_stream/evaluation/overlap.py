@@ -79,6 +79,6 @@ class Overlap:
 
 
 def _lies_on(tracked: TrackedObject, scene: Scene) -> LiesOn:
-    shares = shares_on(tracked.points_world, scene)
+    shares = shares_on(tracked, scene)
     structure = shares.pop(STRUCTURE, 0.0)
     return LiesOn(things=shares, structure=structure, nothing=max(0.0, 1.0 - structure - sum(shares.values())))

@@ -12,7 +12,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import MapSnapshot, ObjectKind, Phase
-from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
+from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, make_view, placed
 
 SIDES = (0.5, 0.4, 0.6)
 
@@ -113,6 +113,16 @@ def test_truth_that_was_hardly_seen_is_ignored_on_both_sides(tmp_path):
         score = score_map(snapshot_of(*objects), {}, truth)
         assert (score.num_truth, score.recall_25, score.precision_25) == (1, 1.0, 1.0)
         assert not score.truth[1].counts
+
+
+def test_noise_of_far_views_leaves_an_object_on_its_thing(tmp_path):
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 3.0, seen=0.1))
+    noisy = found(4, 3.0, slice(200))
+    noisy = replace(noisy, points_world=noisy.points_world - np.float32([0.1, 0, 0]))
+    view = replace(make_view(4, 0, 0.0), world_from_camera=placed(-5.0, 0.0, 0.3))
+    for views, on_it in (((), ()), ((view,), (4,))):
+        score = score_map(snapshot_of(found(3, 0.0), replace(noisy, views=views)), {}, truth)
+        assert score.truth[1].track_ids == on_it
 
 
 def test_an_object_on_nothing_is_stray_unless_tentative(tmp_path):

@@ -57,12 +57,13 @@ def test_a_fixture_that_is_seen_through_is_gone():
     assert [d.cause for d in drops] == ["looked through"]
 
 
-def test_votes_do_not_join_an_object_and_a_fixture_but_overlap_does():
+def test_votes_do_not_join_an_object_and_a_wall_but_overlap_does():
     graph, config = MapState(submaps=first_submap(0.05)).support_graph(), MergeConfig()
-    thing, wall = track(1, PICTURE, sightings=9), replace(track(2, WALL, sightings=9), kind=FIXTURE)
+    thing, wall = track(1, PICTURE, sightings=9), replace(track(2, WALL, sightings=9), kind=FIXTURE, is_attached=True)
     book = VoteBook().plus([(1, 2)], together_ns=9 * SECOND_NS)
     assert why_one(thing, wall, [], book, graph, 0.01, config) is None
-    assert "seen as one" in why_one(thing, replace(wall, kind=thing.kind), [], book, graph, 0.01, config)
+    # A fixture by its size alone is joined as an object is.
+    assert "seen as one" in why_one(thing, replace(wall, is_attached=False), [], book, graph, 0.01, config)
     piece = track(3, WALL[WALL[:, 1] < 0.0], sightings=9)
     assert "lies on the larger, fixture" in why_one(piece, wall, [], VoteBook(), graph, 0.01, config)
     # Its kind is judged again.

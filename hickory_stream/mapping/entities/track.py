@@ -85,6 +85,8 @@ class Track:
     #: numbers of its solid points and of its sightings when its kind was judged last
     judged_points: int = 0
     judged_sightings: int = 0
+    #: more likely than not it is attached to the room; a fixture that is not is one by its size
+    is_attached: bool = False
 
     @property
     def names_of_views(self) -> tuple[str, ...]:
@@ -140,7 +142,7 @@ def grown(track: Track, seen: Cloud, sightings: int, voxel_m: float) -> Track:
 
 def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Track:
     """Return the track with another cloud; `sightings` is the new total."""
-    sure = solid_part(cloud, sightings)
+    sure = solid_part(cloud, sightings, voxel_m)
     return replace(
         track,
         cloud=cloud,

@@ -76,21 +76,26 @@ _CONSTANT = -3.3
 def judged(track: Track, space: SpaceState) -> tuple[Track, str]:
     """Return the track with its kind by the present evidence, and that in words."""
     signs, sides_m = signs_of(track, space), 2 * track.box.half_extents_m
-    probability = fixture_probability(signs, sides_m)
+    probability, attached = fixture_probability(signs, sides_m), attached_probability(signs)
     why = (
         f"a fixture by {probability:.2f}; {signs.attached:.0%} of it and {signs.border:.0%} of its border at a wall, "
         f"{signs.structure:.0%} of looks took it for structure, {signs.rests:.0%} of its feet rest on something, "
         f"its box is {sides_m[0]:.1f} x {sides_m[1]:.1f} x {sides_m[2]:.1f} m"
     )
-    now = replace(track, kind=ObjectKind.of(probability), fixture_probability=probability)
+    now = replace(track, kind=ObjectKind.of(probability), fixture_probability=probability, is_attached=attached > 0.5)
     return replace(now, judged_points=len(track.solid), judged_sightings=track.sightings), why
 
 
 def fixture_probability(signs: Signs, sides_m: NDArray[np.float64]) -> float:
     """Return the probability that a thing is attached to the room, or too large to be carried; `sides_m` (3,)."""
-    attached = _CONSTANT + sum(weight * sign for weight, sign in zip(_WEIGHTS, signs, strict=True))
     volume, middle = portable.log([sides_m.prod() / _CARRIED_M3, np.sort(sides_m)[1] / _DOOR_M])
-    return 1 - _logistic(-attached) * _logistic(-max(volume / _CARRIED_SPREAD, middle / _DOOR_SPREAD))
+    too_large = max(volume / _CARRIED_SPREAD, middle / _DOOR_SPREAD)
+    return 1 - (1 - attached_probability(signs)) * _logistic(-too_large)
+
+
+def attached_probability(signs: Signs) -> float:
+    """Return the probability that a thing is attached to the room."""
+    return _logistic(_CONSTANT + sum(weight * sign for weight, sign in zip(_WEIGHTS, signs, strict=True)))
 
 
 def signs_of(track: Track, space: SpaceState) -> Signs:

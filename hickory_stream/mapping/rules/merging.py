@@ -255,8 +255,8 @@ def why_one(
 
 
 def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:
-    # Votes count between tracks of one kind alone: frames that see a picture and its wall as one do not make them so.
-    is_one_kind = a.kind is b.kind
+    # Frames that see a picture and its wall as one do not make them so. A size alone, which grows, divides nothing.
+    is_one_kind = a.is_attached == b.is_attached
     often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
     if is_one_kind and (often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns)):
         return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"

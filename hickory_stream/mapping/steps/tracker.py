@@ -244,7 +244,7 @@ def _split_off(
     rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))
     if len(rest.keys) < MIN_VOXELS:
         return None
-    cloud = solid_part(candidate.cloud, candidate.sightings)
+    cloud = solid_part(candidate.cloud, candidate.sightings, voxel_m)
     new = new_track(
         state.next_id,
         cloud,
