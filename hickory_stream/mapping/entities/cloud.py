@@ -284,8 +284,8 @@ def _without_known(cloud: Cloud, voxel_m: float) -> Cloud:
 
 
 def _seen_again(cloud: Cloud, sightings: int) -> Cloud:
-    # The voxels that were seen in more than one frame. Where more than half were not, the cloud is new or far away. Then
-    # only an outlying tail goes: cells of eight voxels without one that was seen again, if it was most of the size.
+    # The voxels that several frames saw. Where those are fewer than half, the cloud is new or far away. Then only an
+    # outlying tail goes: cells of eight voxels without one that was seen again, if it was most of the size.
     if sightings < 4:
         return cloud
     once = cloud.hits < (2 if sightings < 12 else 3)
