@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -84,7 +85,10 @@ def uneven_ground(
     if off * _CELL_M * _CELL_M < _OFF_PLANE_M2:
         return None
     filled = _filled(np.where(is_ground, grid.z_m, np.float32(np.nan)), _FILLED_CELLS)
-    height = _above(surface.points_world, filled, grid.low_m, np.float32(_CELL_M), np.float32(_OFF_PLANE_M))
+    # A point may be in any cell within two sigmas of it.
+    spread = np.float32(2 / _CELL_M) * surface.sigma_m
+    cell, step = np.float32(_CELL_M), np.float32(_OFF_PLANE_M)
+    height = _above(surface.points_world, spread, filled, _tops(filled, step), grid.low_m, cell, step)
     return Ground(height_m=height, middle_z_m=float(np.median(heights)))
 
 
@@ -269,8 +273,16 @@ def _filled(z, steps):
     return out
 
 
+def _tops(z: NDArray[np.float32], step: np.float32) -> NDArray[np.float32]:
+    # (nx, ny) the highest of the nine cells around each, where they hold a step; else minus infinity.
+    unknown, none = np.isnan(z), np.float32(-np.inf)
+    most, least = (-sign * minimum_filter(np.where(unknown, -none, -sign * z), 3, mode="nearest") for sign in (1, -1))
+    # The slope itself rises over three cells by one and a half times its rise over two.
+    return np.where(most - least > np.float32(1.5) * step, most, none)
+
+
 @kernel
-def _above(points, z, low, cell, step):
+def _above(points, spread, z, tops, low, cell, step):
     # At the edge of a step the higher level counts, also in a cell with both: the face of a kerb is ground.
     height, width, _ = points.shape
     nx, ny = z.shape
@@ -297,13 +309,9 @@ def _above(points, z, low, cell, step):
             if weight <= 0:
                 continue
             ground = most if most - least > step else total / weight
-            i, j = int(np.floor(fx + half)), int(np.floor(fy + half))
-            for k in range(max(i - 1, 0), min(i + 2, nx)):
-                for m in range(max(j - 1, 0), min(j + 2, ny)):
-                    if not np.isnan(z[k, m]):
-                        least, most = min(least, z[k, m]), max(most, z[k, m])
-            # The slope itself rises over three cells by one and a half times its rise over two.
-            if most - least > np.float32(1.5) * step:
-                ground = most
+            i, j, reach = fx + half, fy + half, spread[y, x]
+            for k in range(max(int(np.floor(i - reach)), 0), min(int(np.floor(i + reach)) + 1, nx)):
+                for m in range(max(int(np.floor(j - reach)), 0), min(int(np.floor(j + reach)) + 1, ny)):
+                    ground = max(ground, tops[k, m])
             out[y, x] = points[y, x, 2] - ground
     return out
