@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -273,12 +272,21 @@ def _filled(z, steps):
     return out
 
 
-def _tops(z: NDArray[np.float32], step: np.float32) -> NDArray[np.float32]:
+@kernel
+def _tops(z, step):
     # (nx, ny) the highest of the nine cells around each, where they hold a step; else minus infinity.
-    unknown, none = np.isnan(z), np.float32(-np.inf)
-    most, least = (-sign * minimum_filter(np.where(unknown, -none, -sign * z), 3, mode="nearest") for sign in (1, -1))
-    # The slope itself rises over three cells by one and a half times its rise over two.
-    return np.where(most - least > np.float32(1.5) * step, most, none)
+    out = np.full(z.shape, np.float32(-np.inf), dtype=np.float32)
+    for a in range(z.shape[0]):
+        for b in range(z.shape[1]):
+            least, most = np.float32(np.inf), np.float32(-np.inf)
+            for k in range(max(a - 1, 0), min(a + 2, z.shape[0])):
+                for m in range(max(b - 1, 0), min(b + 2, z.shape[1])):
+                    if not np.isnan(z[k, m]):
+                        least, most = min(least, z[k, m]), max(most, z[k, m])
+            # The slope itself rises over three cells by one and a half times its rise over two.
+            if most - least > np.float32(1.5) * step:
+                out[a, b] = most
+    return out
 
 
 @kernel
