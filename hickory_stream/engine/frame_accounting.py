@@ -13,7 +13,6 @@ from hickory_stream.map_folder.history.resume import ResumePoint
 from hickory_stream.mapping.rules.keyframes import (
     Keyframe,
     KeyframeConfig,
-    KeyframeReason,
     is_keyframe,
     keyframe_reason,
 )
@@ -72,7 +71,7 @@ class RunClock:
         stamp_ns, pose = read.raw.stamp_ns, read.raw.world_from_camera
         reason = keyframe_reason(self._mapped, stamp_ns, pose, config)
         self.num_keyframes += 1
-        self.counts["keyframes_at_rest"] += reason is KeyframeReason.AT_REST
+        self.counts["keyframes_at_rest"] += reason == "at_rest"
         self._mapped = Keyframe(stamp_ns=stamp_ns, world_from_camera=pose)
 
 

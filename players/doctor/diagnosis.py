@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, NoPosesError, RecordingError, UnknownLogError
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, KeyframeReason, keyframe_reason, motion
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, keyframe_reason, motion
 from hickory_stream.ports import Source
 from hickory_stream.poses.hand_eye import NoHandEye
 from players.doctor.depth_bias import DepthBias, ViewSampler, depth_bias
@@ -241,7 +241,7 @@ def examine_frames(
         first_ns, last_ns = first_ns or raw.stamp_ns, raw.stamp_ns
         if reason := keyframe_reason(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
             num_keyframes += 1
-            num_at_rest += reason is KeyframeReason.AT_REST
+            num_at_rest += reason == "at_rest"
             keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
             is_next_part = last is not None and parts is not None and raw.stamp_ns - last.stamp_ns > parts.pause_ns // 2
             if last is not None and raw.after_from_before is None and not is_next_part:

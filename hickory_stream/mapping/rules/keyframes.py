@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,8 @@ class Keyframe:
     world_from_camera: NDArray[np.float64]
 
 
-class KeyframeReason(StrEnum):
-    """Why a frame is a keyframe; the first frame is one, and the first after a jump back."""
-
-    FIRST = "first"
-    MOVED = "moved"
-    AT_REST = "at_rest"
+KeyframeReason = Literal["first", "moved", "at_rest"]
+"""Why a frame is a keyframe; the first frame is one, and the first after a jump back."""
 
 
 def is_keyframe(
@@ -55,15 +51,15 @@ def keyframe_reason(
 ) -> KeyframeReason | None:
     """Return why a frame is the next keyframe, None if it is not."""
     if last is None or stamp_ns < last.stamp_ns:
-        return KeyframeReason.FIRST
+        return "first"
     elapsed_ns = stamp_ns - last.stamp_ns
     # A millisecond of slack: stamps of a 20 Hz log are 50 ms apart only on average.
     if elapsed_ns < config.min_interval_s * 1e9 - 1_000_000:
         return None
     distance_m, turned_rad = motion(last.world_from_camera, world_from_camera)
     if distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg):
-        return KeyframeReason.MOVED
-    return KeyframeReason.AT_REST if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000 else None
+        return "moved"
+    return "at_rest" if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000 else None
 
 
 def motion(world_from_first: NDArray[np.float64], world_from_second: NDArray[np.float64]) -> tuple[float, float]:
