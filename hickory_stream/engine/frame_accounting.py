@@ -10,7 +10,12 @@ from hickory_stream.events import TimeJumped
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.journal.step import FramePose
 from hickory_stream.map_folder.history.resume import ResumePoint
-from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
+from hickory_stream.mapping.rules.keyframes import (
+    Keyframe,
+    KeyframeConfig,
+    is_keyframe,
+    keyframe_reason,
+)
 
 
 class RunClock:
@@ -29,6 +34,7 @@ class RunClock:
         self.num_frames = 0
         self.num_keyframes = 0
         self.counts: Counter[str] = Counter()
+        self._mapped: Keyframe | None = None
 
     def resume(self, point: ResumePoint) -> None:
         """Continue from an interrupted run."""
@@ -37,6 +43,7 @@ class RunClock:
         self.round_index, self.first_index = step.round_index, step.first_index
         self.num_frames, self.num_keyframes = step.num_frames, step.num_keyframes
         self.counts.update(step.counts)
+        self._mapped = point.position.keyframe
 
     def jump_before(self, read: QueuedFrame) -> TimeJumped | None:
         """Return the jump of time before a frame, None if its stamp follows the one before."""
@@ -58,6 +65,14 @@ class RunClock:
         self.first_ns = raw.stamp_ns if self.first_ns is None else self.first_ns
         self.last = FramePose(index=raw.index, stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
         return self.last
+
+    def map_keyframe(self, read: QueuedFrame, config: KeyframeConfig) -> None:
+        """Count a keyframe, and whether the camera was at rest since the one before."""
+        stamp_ns, pose = read.raw.stamp_ns, read.raw.world_from_camera
+        reason = keyframe_reason(self._mapped, stamp_ns, pose, config)
+        self.num_keyframes += 1
+        self.counts["keyframes_at_rest"] += reason == "at_rest"
+        self._mapped = Keyframe(stamp_ns=stamp_ns, world_from_camera=pose)
 
 
 class FrameOutcome(StrEnum):

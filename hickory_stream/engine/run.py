@@ -293,7 +293,7 @@ class Run:
         return FrameOutcome.MAPPED
 
     async def _keyframe(self, read: QueuedFrame, frame: Frame, ahead: Prefetched) -> None:
-        self._clock.num_keyframes += 1
+        self._clock.map_keyframe(read, self._parts.config.keyframes)
         started = time.perf_counter()
         await self._due.commit(frame.stamp_ns)
         await self._corrections.close_loops(frame.stamp_ns)

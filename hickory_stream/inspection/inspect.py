@@ -5,7 +5,7 @@ Storage counts content, not file packing: 15 bytes a point, the GLB of a mesh, e
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import hypot
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,7 +18,7 @@ from hickory_stream.mapping.floor_warnings import floor_warnings
 from hickory_stream.records import Containment, FitKind, ObjectKind, ObjectShape, Phase, TrackedObject, kind_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.mapping.rules.support_graph import Support
@@ -101,6 +101,8 @@ class MapSummary:
     #: warnings about floor and gravity
     notes: tuple[str, ...]
     graph: GraphSummary | None = None
+    #: Frames of the run by outcome, {} while it goes on.
+    frames: dict[str, int] = field(default_factory=dict)
 
 
 def summarize(saved: SavedMap) -> MapSummary:
@@ -125,6 +127,7 @@ def summarize(saved: SavedMap) -> MapSummary:
         doubt=saved.doubt,
         notes=floor_warnings(saved.snapshot),
         graph=None if saved.snapshot.graph is None else summary_of(saved.snapshot.graph),
+        frames=dict(saved.ledger.get("frames", {})),
     )
 
 
@@ -185,6 +188,7 @@ def format_table(summary: MapSummary, *, with_layers: bool = False, near: tuple[
             "",
             _containment_line(summary),
             *summary.notes,
+            *([_frames_line(summary.frames)] if summary.frames else []),
             *([summary_text(summary.graph)] if summary.graph is not None else []),
             f"digest {summary.digest}",
         ]
@@ -338,6 +342,13 @@ def _ending(summary: MapSummary) -> str:
     if summary.finished_cleanly:
         return "finished cleanly"
     return f"not finished: {'this is its last complete save' if summary.revision else 'nothing was saved yet'}"
+
+
+def _frames_line(frames: Mapping[str, int]) -> str:
+    kinds = {"keyframes_at_rest": "of a camera at rest", "keyframes_without_depth": "without depth"}
+    some = [f"{frames[name]} {text}" for name, text in kinds.items() if frames.get(name)]
+    also = f" ({', '.join(some)})" if some else ""
+    return f"{frames.get('keyframes', 0)} keyframes{also} of {frames.get('read', 0)} frames"
 
 
 def _containment_line(summary: MapSummary) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, NoPosesError, RecordingError, UnknownLogError
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, motion
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, keyframe_reason, motion
 from hickory_stream.ports import Source
 from hickory_stream.poses.hand_eye import NoHandEye
 from players.doctor.depth_bias import DepthBias, ViewSampler, depth_bias
@@ -220,7 +220,7 @@ def examine_frames(
     expected = max(1, round(share * (source.info.num_frames or 100)))
     step = max(1, expected // _SAMPLES)
     last: Keyframe | None = None
-    num_frames, num_keyframes, num_torn, jumps = 0, 0, 0, 0
+    num_frames, num_keyframes, num_at_rest, num_torn, jumps = 0, 0, 0, 0, 0
     due, first_ns, last_ns = 0.0, 0, 0
     invalid: list[float] = []
     borders: list[BorderScores] = []
@@ -239,8 +239,9 @@ def examine_frames(
             motions.add(raw)
         jumps += raw.after_from_before is not None
         first_ns, last_ns = first_ns or raw.stamp_ns, raw.stamp_ns
-        if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
+        if reason := keyframe_reason(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
             num_keyframes += 1
+            num_at_rest += reason == "at_rest"
             keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
             is_next_part = last is not None and parts is not None and raw.stamp_ns - last.stamp_ns > parts.pause_ns // 2
             if last is not None and raw.after_from_before is None and not is_next_part:
@@ -283,6 +284,7 @@ def examine_frames(
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
+        "keyframes_at_rest": round(num_at_rest / share),
         "keyframes_due": round(due, 1),
         "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
         "depth_noise": {"ratio": round(noise.ratio_to(sensor), 3), **asdict(noise)} if noise is not None else None,

@@ -126,7 +126,8 @@ def _frames_line(frames: dict[str, Any]) -> str:
     invalid = frames["depth_invalid_median"]
     depth = "" if invalid is None else f", {invalid:.0%} of the depth without return"
     torn = f", {frames['torn']} of {frames['sampled']} sampled frames torn" if frames["torn"] else ""
-    keyframes = f"{frames['keyframes']} keyframes ({frames['keyframes_due']:.0f} due at this motion)"
+    rest = f", {frames['keyframes_at_rest']} of a camera at rest" if frames["keyframes_at_rest"] else ""
+    keyframes = f"{frames['keyframes']} keyframes ({frames['keyframes_due']:.0f} due at this motion{rest})"
     return f"{frames['frames']} frames of {size}, {keyframes}{depth}{torn}, {_color_text(frames['color_on_depth'])}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,20 +35,31 @@ class Keyframe:
     world_from_camera: NDArray[np.float64]
 
 
+KeyframeReason = Literal["first", "moved", "at_rest"]
+"""Why a frame is a keyframe; the first frame is one, and the first after a jump back."""
+
+
 def is_keyframe(
     last: Keyframe | None, stamp_ns: int, world_from_camera: NDArray[np.float64], config: KeyframeConfig
 ) -> bool:
-    """Return whether a frame is the next keyframe; the first frame is one, and the first after a jump back."""
+    """Return whether a frame is the next keyframe."""
+    return keyframe_reason(last, stamp_ns, world_from_camera, config) is not None
+
+
+def keyframe_reason(
+    last: Keyframe | None, stamp_ns: int, world_from_camera: NDArray[np.float64], config: KeyframeConfig
+) -> KeyframeReason | None:
+    """Return why a frame is the next keyframe, None if it is not."""
     if last is None or stamp_ns < last.stamp_ns:
-        return True
+        return "first"
     elapsed_ns = stamp_ns - last.stamp_ns
     # A millisecond of slack: stamps of a 20 Hz log are 50 ms apart only on average.
     if elapsed_ns < config.min_interval_s * 1e9 - 1_000_000:
-        return False
-    if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000:
-        return True
+        return None
     distance_m, turned_rad = motion(last.world_from_camera, world_from_camera)
-    return bool(distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg))
+    if distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg):
+        return "moved"
+    return "at_rest" if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000 else None
 
 
 def motion(world_from_first: NDArray[np.float64], world_from_second: NDArray[np.float64]) -> tuple[float, float]:

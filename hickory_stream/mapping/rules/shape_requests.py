@@ -1,7 +1,8 @@
 """Scheduling of shape jobs: new objects first, then by expected gain per predicted second.
 
 The gain is the increase in S since the last request. Durations are predicted from the configuration, never measured, so
-that the map does not depend on the speed of the machine.
+that the map does not depend on the speed of the machine. A shape that fits the surface seen since is kept: noise puts
+half of the surface on either side of a right layer 3.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.events import RequestShape
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
 from hickory_stream.mapping.entities.track import ShapeState, Track, is_object
 from hickory_stream.records import Phase
 
@@ -21,6 +24,11 @@ _NEVER_NS = 1 << 62
 # An open job is replaced, once, if S has grown by this share, and by more than the share of `latency_s` that has passed
 # since the request: a job that is nearly finished is worth keeping.
 _REPLACE_BY = 0.5
+# A shape is renewed if the share of the surface outside of its layer 3 differs from a half by more than this, or if
+# more than the other share is outside of its layer 4. Of 63 renewals with truth in `home`, `bookstore` and three
+# apartments the 18 within both raised F1 at 5 % by 0.02, the others by 0.13.
+_MISFIT, _ESCAPED = 0.1, 0.05
+_SAMPLED = 500
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -147,13 +155,30 @@ def is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestCon
         return False
     gain = gain_of(track)
     if is_final:
-        return track.shape is None or gain >= config.final_gain
+        return track.shape is None or (gain >= config.final_gain and _would_change(track))
     if state.asked_views and (clock_ns - state.asked_clock_ns) / 1e9 < config.interval_s:
         return False
     is_in_view = track.phase is Phase.ACTIVE
     if track.shape is None and is_in_view and track.sightings < config.first_sightings:
         return False
-    return gain >= config.min_gain
+    return gain >= config.min_gain and _would_change(track)
+
+
+def _would_change(track: Track) -> bool:
+    # Surface that was split off, and claims of a generator that were refuted, are no matter of layer 1 now.
+    state, shape = track.shape_state, track.shape
+    if shape is None or not state.asked_views or len(track.solid) < state.asked_points:
+        return True
+    points = track.solid.points[:: max(1, len(track.solid) // _SAMPLED)]
+    is_misfit = abs(_share_outside(shape.fitted, points) - 0.5) > _MISFIT
+    return is_misfit or _share_outside(shape.inflated, points) > _ESCAPED
+
+
+def _share_outside(primitives: Superquadrics, points: NDArray[np.float32]) -> float:
+    is_outside = np.ones(len(points), dtype=bool)
+    for i in range(len(primitives)):
+        is_outside &= log_implicit_value(primitives, i, points) > 0
+    return float(is_outside.mean()) if len(points) else 1.0
 
 
 def _is_outdated(track: Track, clock_ns: int, config: RequestConfig) -> bool:

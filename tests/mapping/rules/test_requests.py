@@ -1,5 +1,7 @@
 from dataclasses import replace
+import numpy as np
 import pytest
+from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.mapping.entities.track import ShapeState
 from hickory_stream.mapping.rules.shape_requests import (
     RequestConfig,
@@ -126,6 +128,22 @@ def test_a_shape_is_renewed_after_news_and_time_or_at_the_end():
     assert asked(built(1, new_views=30, asked_s=94)) == [1]
     assert asked(built(1, new_views=1), is_final=True) == [1]
     assert asked(built(1), is_final=True) == []
+
+
+@pytest.mark.parametrize(
+    ("size", "lost", "is_renewed"), [(3.0, 0, True), (0.3, 0, True), (1.0, 0, False), (1.0, 1, True), (-1.0, 0, True)]
+)
+def test_a_shape_that_fits_what_was_seen_since_is_kept(size, lost, is_renewed):
+    known = built(1, new_views=30)
+    # A ball with half of the surface inside of it, or one of another size; below 0, layer 4 is no larger than it.
+    radius_m = abs(size) * np.median(np.linalg.norm(known.solid.points - [0, 0, 0.1], axis=1))
+    place = from_rotation_translation(np.eye(3), np.array([0, 0, 0.1]))
+    ball = replace(known.shape.fitted, semi_axes_m=np.full((1, 3), radius_m), world_from_local=place[None])
+    state = replace(known.shape_state, asked_points=known.shape_state.asked_points + lost)
+    known = replace(
+        known, shape=replace(known.shape, fitted=ball, **({"inflated": ball} if size < 0 else {})), shape_state=state
+    )
+    assert asked(known) == asked(known, is_final=True) == ([1] if is_renewed else [])
 
 
 def test_the_gain_is_the_share_of_new_views_and_of_new_surface():
