@@ -91,11 +91,6 @@ def coarse_keys(keys: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
     return keys & ~np.int64((low << (2 * _BITS)) | (low << _BITS) | low)
 
 
-def halved_keys(keys: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
-    """Return (N,) the keys of (N,) voxels among cells of 2^halvings voxels a side, to be compared with each other."""
-    return coarse_keys(keys, halvings) >> halvings
-
-
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sorted keys of `a` that are not in `b`, both sorted; `a` itself where none of `b` are in it."""
     return exchanged(a, b, _NONE)

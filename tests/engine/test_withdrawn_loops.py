@@ -6,7 +6,6 @@ The search is stood in for by one that gives a wrong loop between two places tha
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SCENE_CAMERA, SceneBox, SceneSource
-from hickory_stream.engine import loop_closing
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
@@ -49,7 +48,7 @@ def found(query, *_):
 @pytest.fixture(scope="module", autouse=True)
 def search():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop_closing, "search_loops", found)
+        patch.setattr("hickory_stream.loops.search.search_loops", found)
         yield
 
 

@@ -35,7 +35,7 @@ def bytes_of(cloud):
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=30), st.sampled_from([1, 5, 20]))
 def test_a_packed_state_comes_back_to_the_byte(hits, sightings):
     cloud = cloud_of(hits)
-    track = track_of(cloud, solid_part(cloud, sightings, 0.01))
+    track = track_of(cloud, solid_part(cloud, sightings))
     back = unpacked(Packer().packed({"tracks": {1: track}, "_next": 3}))
     assert back["_next"] == 3
     assert bytes_of(back["tracks"][1].cloud) == bytes_of(track.cloud)

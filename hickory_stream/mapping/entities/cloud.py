@@ -25,9 +25,10 @@ from hickory_stream.geometry.lazy_arrays import Keep, compressed, in_memory, res
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import (
     are_near,
+    cells_of_keys,
     coarse_keys,
     contains,
-    halved_keys,
+    keys_of_cells,
     keys_of_points,
     places,
     sorted_unique,
@@ -139,8 +140,6 @@ def _let_go(cloud: Any) -> None:
 
 _SETTLED_SIGHTINGS = 8
 _MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
-# Noise below 2^2 voxels hardly moves a box, and comparisons of clouds tolerate it.
-_FIRST_LEVEL = 2
 
 NO_PLANE = (0.0,) * 5
 
@@ -262,30 +261,12 @@ def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
     return replace(cloud, **{name: getattr(cloud, name).take(kept, axis=0) for name in NAMES})
 
 
-def solid_part(cloud: Cloud, sightings: int, voxel_m: float) -> Cloud:
-    """Return the voxels that are neither noise of one frame, nor noise of far views about a surface known better."""
-    return _without_known(_seen_again(cloud, sightings), voxel_m)
+def solid_part(cloud: Cloud, sightings: int) -> Cloud:
+    """Return the voxels that were seen in more than one frame: a voxel seen only once is likely to be noise.
 
-
-def _without_known(cloud: Cloud, voxel_m: float) -> Cloud:
-    # A return says that there is a surface within about two sigmas. Where nearer views know it better, that is it.
-    if len(cloud.keys) == 0:
-        return cloud
-    # The level of a voxel: its standard deviation in one frame is 2^level to 2^(level + 1) voxels.
-    variance = cloud.hits / cloud.weights / np.float32(voxel_m * voxel_m)
-    levels = (np.frexp(variance)[1] - 1) >> 1
-    known = np.zeros(len(levels), dtype=bool)
-    for level in range(_FIRST_LEVEL, int(levels.max()) + 1):
-        own, better = levels == level, levels < level
-        if own.any() and better.any():
-            at, there = (halved_keys(cloud.keys[which], level + 1) for which in (own, better))
-            known[own] = are_near(sorted_unique(there), at)
-    return without(cloud, known) if known.any() else cloud
-
-
-def _seen_again(cloud: Cloud, sightings: int) -> Cloud:
-    # The voxels that several frames saw. Where those are fewer than half, the cloud is new or far away. Then only an
-    # outlying tail goes: cells of eight voxels without one that was seen again, if it was most of the size.
+    Where this would remove more than half of the voxels, the cloud is new or far away. Then only an outlying tail is
+    removed: cells of eight voxels without one that was seen again, if the cloud is much smaller without them.
+    """
     if sightings < 4:
         return cloud
     once = cloud.hits < (2 if sightings < 12 else 3)
@@ -317,7 +298,7 @@ def share_near(keys: NDArray[np.int64], cloud: Cloud, halvings: int = 0) -> floa
         return 0.0
     some, there = keys[:: max(1, len(keys) // 400)], cloud.keys
     if halvings > 0:
-        some, there = (halved_keys(own, halvings) for own in (some, there))
+        some, there = (keys_of_cells(cells_of_keys(own) >> halvings) for own in (some, there))
         there = sorted_unique(there)
     return float(are_near(there, some).mean())
 

@@ -142,7 +142,7 @@ def grown(track: Track, seen: Cloud, sightings: int, voxel_m: float) -> Track:
 
 def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Track:
     """Return the track with another cloud; `sightings` is the new total."""
-    sure = solid_part(cloud, sightings, voxel_m)
+    sure = solid_part(cloud, sightings)
     return replace(
         track,
         cloud=cloud,

@@ -144,21 +144,7 @@ def with_hits(hits):
     ],
 )
 def test_the_solid_part_is_what_was_seen_again_unless_little(sightings, hits, kept):
-    assert len(solid_part(with_hits(hits), sightings, VOXEL_M).keys) == kept
-
-
-def test_noise_of_far_views_about_a_known_surface_is_not_solid():
-    at = np.array([(0, 0, z) for z in range(40)] + [(10, 0, z) for z in range(40)] + [(60, 0, z) for z in range(40)])
-    keys = keys_of_cells(at)
-    # The nearest is sure to 2 mm, the others to 10 cm: one is within two sigmas of it, one is not.
-    sigma_m = np.where(at[:, 0] == 0, 0.002, 0.1)
-    order = np.argsort(keys)
-    zeros, hits = np.zeros((len(keys), 3), np.float32), np.full(len(keys), 5, np.int32)
-    weights = (hits / sigma_m**2).astype(np.float32)[order]
-    cloud = Cloud(keys=keys[order], points=zeros, colors=zeros, hits=hits, weights=weights)
-    assert set(cells_of_keys(solid_part(cloud, 5, VOXEL_M).keys)[:, 0]) == {0, 60}
-    far = without(cloud, at[order][:, 0] == 0)
-    assert len(solid_part(far, 5, VOXEL_M).keys) == 80
+    assert len(solid_part(with_hits(hits), sightings).keys) == kept
 
 
 @pytest.mark.parametrize(
@@ -180,7 +166,7 @@ def test_a_far_tail_of_one_frame_is_not_solid(tail_cells, sightings, is_cut):
     x = cells_of_keys(cloud.keys)[:, 0]
     again = (np.arange(len(x)) % 3 == 0) & (x < 40)
     cloud = replace(cloud, hits=np.where(again, 5, 1).astype(np.int32))
-    kept = cells_of_keys(solid_part(cloud, sightings, VOXEL_M).keys)[:, 0]
+    kept = cells_of_keys(solid_part(cloud, sightings).keys)[:, 0]
     assert kept.max() == (39 if is_cut else 39 + tail_cells)
     assert (kept < 40).sum() == (x < 40).sum()
 
