@@ -138,7 +138,7 @@ def test_time_of_observation_confirms_at_every_keyframe_rate():
 def test_time_counts_by_the_share_of_the_outline_that_is_drawn():
     core = MapperCore(CONFIG)
     for i in range(4):
-        drive(core, [frame(i, observation(0, A), replace(observation(1, B), drawn=0.5))])
+        drive(core, [frame(i, observation(0, A), replace(observation(1, B), drawn=0.25))])
     assert [item.phase for item in core.snapshot().objects] == [Phase.ACTIVE, Phase.TENTATIVE]
     drive(core, [frame(4, replace(observation(0, B), drawn=0.5))])
     assert by_id(core.snapshot())[2].phase == Phase.ACTIVE
