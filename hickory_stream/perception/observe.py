@@ -20,6 +20,7 @@ from hickory_stream.geometry.flush import Plane, flush_heights, plane_beside
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
+from hickory_stream.perception.fragments.color_split import COLOR_STEP, LAB_WEIGHTS
 from hickory_stream.perception.masks import label_boxes
 from hickory_stream.perception.surface import lab_of
 from hickory_stream.records import Frame, Observation, RejectedMask, Returns, Segmentation
@@ -34,10 +35,8 @@ _MIN_NEIGHBORS = 5
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
-# The rim of a mask lies this far outside; a step in colour is as large as where fragments are split by it.
-# A mask as wide as this is looked at at half resolution.
-_RIM_PX, _COLOR_STEP, _WIDE_PX = 3, 12.0, 48
-_COLOR_WEIGHTS = np.array([0.5, 1, 1], np.float32)
+# The rim of a mask lies this far outside. A mask as wide as this is looked at at half resolution.
+_RIM_PX, _WIDE_PX = 3, 48
 # About so many pixels around a mask and in it are looked at for the surface that it is flush with.
 _BESIDE_PX = 600
 
@@ -175,13 +174,13 @@ def _drawn(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.boo
     unseen = rim & (cv2.dilate((frame.depth_m[around] > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
     if not unseen.any():
         return 1.0
-    lab = lab_of(frame.rgb[around]) * _COLOR_WEIGHTS
+    lab = lab_of(frame.rgb[around]) * LAB_WEIGHTS
     side = (4 * _RIM_PX + 1, 4 * _RIM_PX + 1)
     weights = cv2.blur(inside.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
     means = cv2.blur(cv2.copyTo(lab, inside), side, borderType=cv2.BORDER_CONSTANT)
     beside = cv2.blur(lab, (3, 3))
     steps = beside[unseen] - means[unseen] / np.maximum(weights[unseen], np.float32(1e-6))[:, None]
-    missing = int(np.count_nonzero((steps * steps).sum(axis=1) < _COLOR_STEP * _COLOR_STEP))
+    missing = int(np.count_nonzero((steps * steps).sum(axis=1) < COLOR_STEP * COLOR_STEP))
     return 1 - missing / int(np.count_nonzero(rim))
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.disjoint_sets import root_of
 
 
 def pieces_of(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64], list[tuple[slice, ...]]]:
@@ -31,7 +32,7 @@ def joined_faces(faces, num_vertices):
     root = np.arange(num_vertices)
     for f in range(count):
         for c in range(2):
-            a, b = _root(root, faces[f, c]), _root(root, faces[f, c + 1])
+            a, b = root_of(root, faces[f, c]), root_of(root, faces[f, c + 1])
             root[max(a, b)] = min(a, b)
     # The edges that leave each vertex, and those that reach it.
     leaving, reaching = np.zeros(num_vertices + 1, np.int64), np.zeros(num_vertices + 1, np.int64)
@@ -61,21 +62,13 @@ def joined_faces(faces, num_vertices):
             balance[of[n]] -= 1
         for n in range(leaving[a], leaving[a + 1]):
             if balance[to[n]] != 0:
-                is_open[_root(root, a)] = True
+                is_open[root_of(root, a)] = True
         for n in range(leaving[a], leaving[a + 1]):
             balance[to[n]] = 0
         for n in range(reaching[a], reaching[a + 1]):
             balance[of[n]] = 0
     pieces, are_open = np.empty(count, np.int64), np.empty(count, np.bool_)
     for f in range(count):
-        pieces[f] = _root(root, faces[f, 0])
+        pieces[f] = root_of(root, faces[f, 0])
         are_open[f] = is_open[pieces[f]]
     return pieces, are_open
-
-
-@kernel
-def _root(root, vertex):
-    while root[vertex] != vertex:
-        root[vertex] = root[root[vertex]]
-        vertex = root[vertex]
-    return vertex

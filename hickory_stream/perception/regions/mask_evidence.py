@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.disjoint_sets import root_of
 from hickory_stream.perception.masks import InstanceMask
 from hickory_stream.perception.regions.region_graph import summed
 
@@ -96,15 +97,6 @@ def divided_by_masks(labels: NDArray[np.int32], masks: NDArray[np.bool_]) -> NDA
 
 
 @kernel
-def _root(parent, i):
-    # Union-find with path halving (Tarjan and van Leeuwen 1984).
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@kernel
 def _pieces(labels, shown):
     # (h, w) connected pixels of one label that the same masks show, named by a pixel.
     height, width = labels.shape
@@ -114,9 +106,9 @@ def _pieces(labels, shown):
             for side in range(2):
                 yy, xx = (y, x + 1) if side == 0 else (y + 1, x)
                 if yy < height and xx < width and labels[y, x] == labels[yy, xx] and shown[y, x] == shown[yy, xx]:
-                    a, b = _root(parent, y * width + x), _root(parent, yy * width + xx)
+                    a, b = root_of(parent, y * width + x), root_of(parent, yy * width + xx)
                     parent[max(a, b)] = min(a, b)
-    return np.array([_root(parent, i) for i in range(height * width)]).reshape(height, width)
+    return np.array([root_of(parent, i) for i in range(height * width)]).reshape(height, width)
 
 
 @kernel
