@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import SpaceState, sees_structure
 from hickory_stream.mapping.rules.support_relations import (
+    COLUMN_M,
     LOWEST_PCT,
     Body,
     bottom_of_box_m,
@@ -29,7 +30,6 @@ from hickory_stream.mapping.rules.support_relations import (
     is_inner_part,
     is_leg,
     is_on_foot,
-    stands_in,
 )
 
 # The lowest points of a track: those up to this height above the lowest percentile of z.
@@ -86,8 +86,8 @@ def _meet(a: Body, b: Body, slack_m: float) -> bool:
     return bool((a_low <= b_high + slack_m).all() and (b_low <= a_high + slack_m).all())
 
 
-# Bodies whose bounds are farther apart have no relation: this is the longest reach of any relation (a leg's).
-REACH_M = 0.3
+# Bodies whose bounds are farther apart have no relation.
+REACH_M = COLUMN_M
 
 
 class Relation(StrEnum):
@@ -146,28 +146,21 @@ class SupportGraph:
 
     def foot_of(self, a: Body, b: Body) -> Support | None:
         """Return the edge by which the lower of two bodies is the foot of the upper one, or None."""
-        upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
+        upper, lower = (a, b) if a.box.center[2] > b.box.center[2] else (b, a)
         is_foot = is_on_foot(upper, lower)
         return _part(lower, upper, "the lower is the foot of the upper") if is_foot else None
 
     def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
-        """Return the edge by which `small` is a leg, pot or inner part of `large`, resting on none `near`, or None."""
+        """Return the edge by which `small` is a leg or an inner part of `large`, resting on none `near`, or None."""
         if is_leg(small, large):
             return _part(small, large, "the smaller stands under the larger like a leg")
-        if stands_in(large, small):
-            return _part(small, large, "the larger stands in the smaller")
         others = [body for body in near if body.id not in (small.id, large.id)]
         is_part = is_inner_part(small, large, others)
         return _part(small, large, "the smaller is a part inside the larger") if is_part else None
 
-    def still_part_of(
-        self, small: Body, large: Body, near: Iterable[Body], *, inside: float, max_volume: float
-    ) -> Support | None:
-        """Return the edge by which the smaller body, split off the larger one, is an inner part of it, or None.
-
-        `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
-        """
-        is_part = is_inner_part(small, large, near, inside=inside, max_volume=max_volume, was_one=True)
+    def still_part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
+        """Return the edge by which the smaller body, split off the larger one, is an inner part of it, or None."""
+        is_part = is_inner_part(small, large, near, was_one=True)
         return _part(small, large, "the smaller was a part inside the larger") if is_part else None
 
     def hidden_by(self, small: Body, large: Body) -> Support | None:
