@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.type_forms import Form, form_of
 
-
 # Fields of records that earlier versions wrote, and which nothing reads.
 _FORMER = {"Track": {"doubts"}}
 

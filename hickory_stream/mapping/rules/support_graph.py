@@ -30,6 +30,7 @@ from hickory_stream.mapping.rules.support_relations import (
     is_inner_part,
     is_leg,
     is_on_foot,
+    stands_in,
 )
 
 # The lowest points of a track: those up to this height above the lowest percentile of z.
@@ -146,14 +147,16 @@ class SupportGraph:
 
     def foot_of(self, a: Body, b: Body) -> Support | None:
         """Return the edge by which the lower of two bodies is the foot of the upper one, or None."""
-        upper, lower = (a, b) if a.box.center[2] > b.box.center[2] else (b, a)
+        upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
         is_foot = is_on_foot(upper, lower)
         return _part(lower, upper, "the lower is the foot of the upper") if is_foot else None
 
     def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
-        """Return the edge by which `small` is a leg or an inner part of `large`, resting on none `near`, or None."""
+        """Return the edge by which `small` is a leg, pot or inner part of `large`, resting on none `near`, or None."""
         if is_leg(small, large):
             return _part(small, large, "the smaller stands under the larger like a leg")
+        if stands_in(large, small):
+            return _part(small, large, "the larger stands in the smaller")
         others = [body for body in near if body.id not in (small.id, large.id)]
         is_part = is_inner_part(small, large, others)
         return _part(small, large, "the smaller is a part inside the larger") if is_part else None

@@ -132,21 +132,31 @@ def _cells(points: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64)
 
 
+def stands_in(large: Body, small: Body) -> bool:
+    """Return whether the smaller body alone supports the larger one: a plant in its pot."""
+    # Mostly inside its box, with its lowest points over or under it. A desk around a bin has legs elsewhere.
+    is_inside = intersection_volume_m3(small.box, large.box) >= _MOST * small.box.volume_m3
+    return is_inside and _stands_over(large, small, _FOOT_SLICE * (large.bounds[1, 2] - large.bounds[0, 2]))
+
+
 def is_on_foot(upper: Body, lower: Body) -> bool:
-    """Return whether the lower body is the only support of the upper one: a seat on its foot, a plant in its pot."""
-    # The upper one's lowest points lie over the lower one, and it covers the lower one; no support surface goes on
-    # around them. A desk around a bin has legs elsewhere.
-    points = upper.solid.points
-    (low, high), (_, top) = _ends_m(upper.solid), _ends_m(lower.solid)
-    foot = points[points[:, 2] < low + max(_SLACK_M, _FOOT_SLICE * (high - low))]
-    if low - top > COLUMN_M or len(foot) < _MIN_POINTS:
-        return False
-    if float(lower.box.is_over_or_under(foot, _SLACK_M).mean()) < _MOST:
+    """Return whether the lower body is the only support of the upper one: a seat on its swivel foot."""
+    # The upper one's lowest points lie over the lower one, closely above its top; no support surface goes on around
+    # them.
+    (low, high), (base, top) = _ends_m(upper.solid), _ends_m(lower.solid)
+    is_above = base < low and abs(low - top) < COLUMN_M
+    if not is_above or not _stands_over(upper, lower, max(_SLACK_M, _FOOT_SLICE * (high - low))):
         return False
     # A pot rests on a counter, but does not cover it as a seat covers its foot.
-    if float(upper.box.is_over_or_under(lower.solid.points, _SLACK_M).mean()) < _MOST:
-        return False
-    return not _stands_on(upper, lower)
+    is_cover = float(upper.box.is_over_or_under(lower.solid.points, _SLACK_M).mean()) >= _MOST
+    return is_cover and not _stands_on(upper, lower)
+
+
+def _stands_over(upper: Body, lower: Body, slice_m: float) -> bool:
+    # Most of the points in the lowest slice of the upper one lie over or under the lower one.
+    points = upper.solid.points
+    foot = points[points[:, 2] < float(upper.bounds[0, 2]) + slice_m]
+    return len(foot) >= _MIN_POINTS and float(lower.box.is_over_or_under(foot, _SLACK_M).mean()) >= _MOST
 
 
 def is_inner_part(small: Body, large: Body, others: Iterable[Body], *, was_one: bool = False) -> bool:
