@@ -15,7 +15,7 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.cloud import share_near
+from hickory_stream.mapping.entities.cloud import SETTLED_SIGHTINGS, share_near
 from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.records import Observation
@@ -41,8 +41,6 @@ def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tupl
 _TIE = 1e-12
 # An observation can lie on a track only if at least this share of its box is inside the track's box.
 _MIN_LIES_IN = 0.2
-# A track is settled, so that observations can be oversized, from this many sightings on.
-_SETTLED_SIGHTINGS = 5
 # Minimum share of the track's box inside the box of an oversized observation.
 _OVERSIZE_COVER = 0.5
 
@@ -127,7 +125,7 @@ def associate(
 def is_oversized(observation: Observation, track: Track, config: AssociateConfig) -> bool:
     """Return whether an observation is under-segmented: it contains an established track and something beside it."""
     return (
-        track.sightings >= _SETTLED_SIGHTINGS
+        track.sightings >= SETTLED_SIGHTINGS
         and observation.box.volume_m3 > config.oversize_ratio * track.box.volume_m3
         and intersection_volume_m3(observation.box, track.box) > _OVERSIZE_COVER * track.box.volume_m3
     )

@@ -23,6 +23,7 @@ from hickory_stream.mapping.entities.observed_space import SpaceState, sees_stru
 from hickory_stream.mapping.rules.support_relations import (
     COLUMN_M,
     LOWEST_PCT,
+    SLACK_M,
     Body,
     bottom_of_box_m,
     height_under,
@@ -33,21 +34,17 @@ from hickory_stream.mapping.rules.support_relations import (
     stands_in,
 )
 
-# The lowest points of a track: those up to this height above the lowest percentile of z.
-_FOOT_M = 0.05
 # The depths below the lowest points at which free space is checked: beyond the noise of the foot, a few voxels deep.
-_BELOW_M = (0.08, 0.13, 0.18)
+_BELOW_M = (2 * SLACK_M, 3 * SLACK_M, 4 * SLACK_M)
 # A body that begins this near to the floor rests on it.
 _ON_FLOOR_M = 0.35
 # Minimum height of an unsupported track's lowest points above the floor: lower tracks may have thin feet.
 _MIN_HEIGHT_M = 0.25
 # Minimum share of the space below its lowest points that was observed free.
 _FREE_SHARE = 0.9
-# It is supported if more than this share of its lowest points is within this distance of another track.
-_SUPPORT_M = 0.06
+# It is supported if more than this share of its lowest points is beside another track, or if structure is near.
 _SUPPORT_SHARE = 0.1
-# It is supported if structure is within this distance.
-_NEAR_WALL_M = 0.1
+_NEAR_WALL_M = 2 * SLACK_M
 # Maximum distance to the track that it is attached to.
 ATTACH_M = 0.15
 
@@ -60,13 +57,13 @@ def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body
     low = float(np.percentile(points[:, 2], LOWEST_PCT))
     if low < space.floor_z_m + _MIN_HEIGHT_M:
         return None
-    foot = points[points[:, 2] < low + _FOOT_M]
+    foot = points[points[:, 2] < low + SLACK_M]
     if not _is_free_below(foot, points, space) or sees_structure(space, body.box, points, _NEAR_WALL_M):
         return None
     near = [other for other in others if other.id != body.id and _meet(body, other, ATTACH_M)]
     clouds = [cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
-        distances_m, _ = cloud.query(foot, distance_upper_bound=_SUPPORT_M)
+        distances_m, _ = cloud.query(foot, distance_upper_bound=SLACK_M)
         if float(np.isfinite(distances_m).mean()) >= _SUPPORT_SHARE:
             return None
     gaps_m = [float(cloud.query(points, distance_upper_bound=ATTACH_M)[0].min()) for cloud in clouds]

@@ -54,7 +54,7 @@ class Body(Protocol):
 # Fewer points are no surface, and no foot.
 _MIN_POINTS = 10
 # Tolerance of heights, and of places beside a box: what voxels and a few views leave of the noise of depth.
-_SLACK_M = 0.04
+SLACK_M = 0.04
 # This share of a body is most of it.
 _MOST = 0.8
 # Maximum height of a body's lower end above the top of its leg, foot or pot: the column between them may be too thin
@@ -87,9 +87,9 @@ _LOWER_M = 0.01
 def _points_over(small: Body, large: Body) -> NDArray[np.float32]:
     top = float(small.bounds[1, 2])
     # A thin leg may stand slightly outside of the visible part of the seat.
-    beside_m = _SLACK_M if _is_thin(small, large) else 0.0
+    beside_m = SLACK_M if _is_thin(small, large) else 0.0
     above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)]
-    return above[(above[:, 2] > top - _SLACK_M) & (above[:, 2] < top + COLUMN_M)]
+    return above[(above[:, 2] > top - SLACK_M) & (above[:, 2] < top + COLUMN_M)]
 
 
 def is_hidden_by(small: Body, large: Body) -> bool:
@@ -103,7 +103,7 @@ def is_leg(small: Body, large: Body) -> bool:
     size = 2 * small.box.half_extents_m
     if size[2] < _LEG_SLENDER * max(size[0], size[1]):
         return False
-    if intersection_volume_m3(small.box, large.box.grown(_SLACK_M)) < _LEG_INSIDE * small.box.volume_m3:
+    if intersection_volume_m3(small.box, large.box.grown(SLACK_M)) < _LEG_INSIDE * small.box.volume_m3:
         return False
     above = _points_over(small, large)
     if len(above) < _MIN_POINTS:
@@ -145,10 +145,10 @@ def is_on_foot(upper: Body, lower: Body) -> bool:
     # them.
     (low, high), (base, top) = _ends_m(upper.solid), _ends_m(lower.solid)
     is_above = base < low and abs(low - top) < COLUMN_M
-    if not is_above or not _stands_over(upper, lower, max(_SLACK_M, _FOOT_SLICE * (high - low))):
+    if not is_above or not _stands_over(upper, lower, max(SLACK_M, _FOOT_SLICE * (high - low))):
         return False
     # A pot rests on a counter, but does not cover it as a seat covers its foot.
-    is_cover = float(upper.box.is_over_or_under(lower.solid.points, _SLACK_M).mean()) >= _MOST
+    is_cover = float(upper.box.is_over_or_under(lower.solid.points, SLACK_M).mean()) >= _MOST
     return is_cover and not _stands_on(upper, lower)
 
 
@@ -156,7 +156,7 @@ def _stands_over(upper: Body, lower: Body, slice_m: float) -> bool:
     # Most of the points in the lowest slice of the upper one lie over or under the lower one.
     points = upper.solid.points
     foot = points[points[:, 2] < float(upper.bounds[0, 2]) + slice_m]
-    return len(foot) >= _MIN_POINTS and float(lower.box.is_over_or_under(foot, _SLACK_M).mean()) >= _MOST
+    return len(foot) >= _MIN_POINTS and float(lower.box.is_over_or_under(foot, SLACK_M).mean()) >= _MOST
 
 
 def is_inner_part(small: Body, large: Body, others: Iterable[Body], *, was_one: bool = False) -> bool:
@@ -165,7 +165,7 @@ def is_inner_part(small: Body, large: Body, others: Iterable[Body], *, was_one: 
     E.g. the panel of a desk or the board of a shelf. A mug inside the box of a chair rests on the table, one of the
     `others`. `was_one`: their points were of one track, so they touch.
     """
-    inside_m3 = intersection_volume_m3(small.box, large.box.grown(_SLACK_M))
+    inside_m3 = intersection_volume_m3(small.box, large.box.grown(SLACK_M))
     if inside_m3 < _MOST * small.box.volume_m3 or not (was_one or _touches(small, large)):
         return False
     return not any(_stands_on(small, support) for support in (large, *others))
@@ -179,13 +179,13 @@ def _touches(small: Body, large: Body) -> bool:
 def _stands_on(small: Body, large: Body) -> bool:
     # The smaller one occludes the surface right below it, so the surface is searched in a ring around its foot.
     low, high = _ends_m(small.solid)
-    around = large.solid.points[small.box.is_over_or_under(large.solid.points, _SLACK_M)]
-    around = around[(around[:, 2] > low - _SLACK_M) & (around[:, 2] < low + _SLACK_M)]
+    around = large.solid.points[small.box.is_over_or_under(large.solid.points, SLACK_M)]
+    around = around[(around[:, 2] > low - SLACK_M) & (around[:, 2] < low + SLACK_M)]
     if len(around) < _MIN_POINTS or high - float(np.median(around[:, 2])) < _RISE_M:
         return False
     cells = np.unique(np.floor(around[:, :2] / _RING_CELL_M), axis=0)
     x, y = 2 * small.box.half_extents_m[:2]
-    ring = 2 * _SLACK_M * float(x + y + 2 * _SLACK_M)
+    ring = 2 * SLACK_M * float(x + y + 2 * SLACK_M)
     return len(cells) * _RING_CELL_M * _RING_CELL_M > _RING_SHARE * ring
 
 
@@ -195,8 +195,8 @@ def height_under(body: Body, other: Body) -> float | None:
     if bottom_of_box_m(other) > bottom - _LOWER_M:
         return None
     points = other.cloud.points
-    near = points[(points[:, 2] > bottom - _UNDER_BELOW_M) & (points[:, 2] < bottom + _SLACK_M)]
-    under = near[body.box.is_over_or_under(near, _SLACK_M)]
+    near = points[(points[:, 2] > bottom - _UNDER_BELOW_M) & (points[:, 2] < bottom + SLACK_M)]
+    under = near[body.box.is_over_or_under(near, SLACK_M)]
     if len(under) < _MIN_POINTS or not _surrounds(under, body.box):
         return None
     return float(np.quantile(under[:, 2], _UNDER_QUANTILE))
