@@ -643,7 +643,7 @@ DecisionKind = Literal[
     "merge",  # of two tracks
     "split",  # of a track off another one
     "part",  # of two tracks that a correction of the poses had merged
-    "trim",  # of the points of a track that are those of a wall
+    "trim",  # of a track's points in a wall, by earlier versions
     "phase",  # of a track
     "kind",  # of a track: an object or a fixture
     "room",  # the same, by earlier versions

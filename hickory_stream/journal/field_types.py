@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.type_forms import Form, form_of
 
+# Fields of records that earlier versions wrote, and which nothing reads.
+_FORMER = {"Track": {"doubts"}}
+
 
 def checked_record(kind: type, values: Mapping[str, Any], checks: Mapping[str, Callable[[Any], bool]]) -> Any:
     """Return a record of these fields, whose `checks` are `field_checks(kind, ...)`.
@@ -24,6 +27,9 @@ def checked_record(kind: type, values: Mapping[str, Any], checks: Mapping[str, C
         TypeError: there is no such field, one is missing, or holds something else than is declared.
         ValueError: the record refuses the values.
     """
+    former = _FORMER.get(kind.__name__, set()) & values.keys()
+    if former:
+        values = {name: value for name, value in values.items() if name not in former}
     for name, value in values.items():
         fits = checks.get(name)
         if fits is None:

@@ -87,7 +87,7 @@ class MapperCore:
                 state.decide("time_jump", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
             case PoseJumped():
                 open_id = state.submaps.open_id
-                jump(state, event, self._config)
+                jump(state, event)
                 return [*end_submap(state, open_id, self.snapshot, self._config.submaps)]
             case PosesCorrected():
                 effects = place_submaps(state, event, self._config, merges=not self._tracker.is_external)

@@ -19,7 +19,7 @@ from hickory_stream.perception.fragments.over_segmentation import (
     fragments_of,
     support_labels,
 )
-from hickory_stream.perception.masks import enlarged, enlarged_mask, label_boxes, occluded_shares
+from hickory_stream.perception.masks import enlarged, enlarged_mask, label_boxes
 from hickory_stream.perception.regions.join import JoinConfig, Joined, join_fragments
 from hickory_stream.perception.regions.map_prior import fragment_owners
 from hickory_stream.perception.regions.trees import Trees, embedded_trees
@@ -30,9 +30,6 @@ from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation
 
 # A mask smaller than a square with a side of this many sigmas of depth cannot be distinguished from noise.
 _MIN_SIDE_SIGMAS = 2.5
-# A mask with fewer working pixels, and more of its outline than this behind nearer surfaces, is rejected.
-_OCCLUDED_AREA_PX = 720
-_OCCLUDED_SHARE = 0.6
 # Minimum visible area of a support plane (horizontal surface of an object), and minimum number of working pixels of
 # a connected region of it.
 _SUPPORT_AREA_M2 = 0.03
@@ -118,13 +115,12 @@ def _usable(
 ) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
-    occluded = occluded_shares(surface.depth_m, labels, count)
     keep = np.zeros(count, dtype=np.int32)
     rejected: list[RejectedMask] = []
     kept = 0
     boxes = label_boxes(labels, count)
     for i in range(1, count):
-        reason = _why_not(surface, labels, i, int(pixels[i]), float(occluded[i]), boxes[i], config)
+        reason = _why_not(surface, labels, i, int(pixels[i]), boxes[i], config)
         if reason is None and structure_odds is not None and structure_odds[i] > 0.0:
             reason = f"part of the room, says the network: log-odds {structure_odds[i]:.1f}"
         if reason is None:
@@ -143,7 +139,6 @@ def _why_not(
     labels: NDArray[np.int32],
     label: int,
     pixels: int,
-    occluded: float,
     box: NDArray[np.int64],
     config: GeometricConfig,
 ) -> str | None:
@@ -152,8 +147,6 @@ def _why_not(
     side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
     if side_m < _MIN_SIDE_SIGMAS * sigma_m:
         return f"{100 * side_m:.1f} cm in a square, less than {_MIN_SIDE_SIGMAS:g} sigmas of depth"
-    if occluded > _OCCLUDED_SHARE and pixels < _OCCLUDED_AREA_PX:
-        return f"{occluded:.0%} of the outline is occluded by nearer surfaces"
     return None
 
 

@@ -45,33 +45,6 @@ class InstanceMask:
         freeze(self, "mask", np.bool_, (y1 - y0, x1 - x0))
 
 
-def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Return (count,) the share of each label's outline that borders on a nearer surface, which occludes it."""
-    outline, occluded = _outlines(depth_m, labels, count)
-    return np.asarray(occluded / np.maximum(outline, 1))
-
-
-@kernel
-def _outlines(depth, labels, count):
-    # (count,) the number of neighbouring pixels of other labels, and of those among them that are nearer.
-    height, width = labels.shape
-    outline, occluded = np.zeros(count), np.zeros(count)
-    for y in range(height):
-        for x in range(width):
-            for side in range(2):
-                yy, xx = (y, x + 1) if side == 0 else (y + 1, x)
-                if yy >= height or xx >= width or labels[y, x] == labels[yy, xx]:
-                    continue
-                here, there = labels[y, x], labels[yy, xx]
-                if here > 0:
-                    outline[here] += 1.0
-                    occluded[here] += depth[yy, xx] < depth[y, x] * np.float32(0.97) - np.float32(0.01)
-                if there > 0:
-                    outline[there] += 1.0
-                    occluded[there] += depth[y, x] < depth[yy, xx] * np.float32(0.97) - np.float32(0.01)
-    return outline, occluded
-
-
 def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
     """Return labels at the size of the frame (width, height), padded with 0 where the reduction truncated."""
     if factor == 1:

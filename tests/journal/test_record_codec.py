@@ -15,6 +15,7 @@ from hickory_stream.mapping.rules.merging import VoteBook
 from hickory_stream.records import Phase
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.graph.graph_fixtures import solved_graph, walk
+from tests.mapping.mapping_fixtures import box_surface, track
 
 DTYPES = st.sampled_from(["<f4", "<f8", "<i8", "|u1", "|b1", "<i4", "<u2"])
 SCALARS = st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text() | st.binary()
@@ -47,6 +48,18 @@ def test_the_factors_of_a_pose_graph_and_its_record_come_back():
     assert encode((read_factors, read_record)) == encode((factors, record))
     assert solve(read_factors).accepted == solve(factors).accepted
     assert read_record.edges == record.edges
+
+
+def test_a_field_of_an_earlier_version_is_left_out():
+    tag = cbor2.loads(encode(track(1, box_surface((0, 0, 0)))))
+    name, fields = tag.value
+
+    def read_with(field):
+        return decode(cbor2.dumps(cbor2.CBORTag(tag.tag, [name, {**fields, field: 3}])))
+
+    assert read_with("doubts").id == 1
+    with pytest.raises((TypeError, ValueError), match="unknown"):
+        read_with("unknown")
 
 
 def test_keys_of_any_kind_sets_and_enums_come_back():

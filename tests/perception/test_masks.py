@@ -1,7 +1,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.perception.masks import enlarged, enlarged_mask, occluded_shares
+from hickory_stream.perception.masks import enlarged, enlarged_mask
 
 
 @given(st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1))
@@ -12,15 +12,3 @@ def test_what_is_enlarged_repeats_pixels_and_is_nothing_beyond(factor, more_x, m
     expected[: 4 * factor, : 5 * factor] = labels.repeat(factor, axis=0).repeat(factor, axis=1)
     assert np.array_equal(enlarged(labels, factor, size), expected)
     assert np.array_equal(enlarged_mask(labels == 1, factor, size), expected == 1)
-
-
-def test_the_occluded_share_is_the_outline_behind_nearer_things():
-    depth = np.full((6, 8), 2.0, dtype=np.float32)
-    labels = np.zeros((6, 8), dtype=np.int32)
-    labels[2:4, 2:5] = 1
-    depth[2:4, 2:5] = 1.5
-    labels[2:4, 5:7] = 2
-    depth[2, 7] = 1.0
-    depth[3, 7] = np.nan
-    # 1: ten neighbours, none nearer; 2: eight, of which two of 1 and the one on its right are.
-    assert occluded_shares(depth, labels, 3).tolist() == [0.0, 0.0, 3 / 8]

@@ -25,5 +25,5 @@ def test_every_reason_to_leave_a_number_out_applies():
 def test_numbers_of_masks_decide_and_those_of_networks_do_not():
     assert Constant(name="perception.geometric.min_iou", value=0.5).decides
     assert not Constant(name="perception.fastsam.min_iou", value=0.5).decides
-    assert any(text.startswith("perception/masks.py:") for text in inline_numbers())
+    assert any(text.startswith("perception/surface.py:") for text in inline_numbers())
     assert not any("models" in constant.name for constant in constants())

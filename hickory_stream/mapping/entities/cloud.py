@@ -138,7 +138,8 @@ def _let_go(cloud: Any) -> None:
             pass  # let go before
 
 
-_SETTLED_SIGHTINGS = 8
+# From so many sightings on the size of a track is settled.
+SETTLED_SIGHTINGS = 5
 _MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
 
 NO_PLANE = (0.0,) * 5
@@ -272,7 +273,7 @@ def solid_part(cloud: Cloud, sightings: int) -> Cloud:
     once = cloud.hits < (2 if sightings < 12 else 3)
     if once.mean() <= 0.5:
         return without(cloud, once)
-    if sightings < _SETTLED_SIGHTINGS:
+    if sightings < SETTLED_SIGHTINGS:
         return cloud
     cells = coarse_keys(cloud.keys, 3)
     alone = ~contains(sorted_unique(cells[~once]), cells)

@@ -67,8 +67,6 @@ class Track:
     merged_ids: tuple[int, ...] = ()
     #: how long keyframes have seen through the object's place since it was last seen
     seen_through_ns: int = 0
-    #: consecutive keyframes that under-segmented it with its surroundings
-    doubts: int = 0
     #: it was split off another track, and must not be merged back as a part
     is_promoted: bool = False
     #: the submap in which it was first seen

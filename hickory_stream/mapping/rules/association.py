@@ -5,7 +5,6 @@ The box of an object that the image border cuts is small inside the track's larg
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -16,7 +15,7 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.cloud import share_near
+from hickory_stream.mapping.entities.cloud import SETTLED_SIGHTINGS, share_near
 from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.records import Observation
@@ -40,16 +39,10 @@ def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tupl
 
 # Shares that differ by less than this count as equal: they are quotients of the same counts.
 _TIE = 1e-12
-_ROUNDING = 1e-9  # a product this close to a whole number counts as that number
-# A track is settled, so that observations can be oversized, from this many sightings on.
-_SETTLED_SIGHTINGS = 5
-# Minimum share of the track's box inside the box of an oversized observation.
-_OVERSIZE_COVER = 0.5
-# After this many oversized observations in a row, plus this share of its sightings, the track is larger after all.
-_OVERSIZE_PATIENCE = 3
-_OVERSIZE_PATIENCE_SHARE = 0.2
 # An observation can lie on a track only if at least this share of its box is inside the track's box.
 _MIN_LIES_IN = 0.2
+# Minimum share of the track's box inside the box of an oversized observation.
+_OVERSIZE_COVER = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -132,8 +125,7 @@ def associate(
 def is_oversized(observation: Observation, track: Track, config: AssociateConfig) -> bool:
     """Return whether an observation is under-segmented: it contains an established track and something beside it."""
     return (
-        track.sightings >= _SETTLED_SIGHTINGS
-        and track.doubts < _OVERSIZE_PATIENCE + math.floor(_OVERSIZE_PATIENCE_SHARE * track.sightings + _ROUNDING)
+        track.sightings >= SETTLED_SIGHTINGS
         and observation.box.volume_m3 > config.oversize_ratio * track.box.volume_m3
         and intersection_volume_m3(observation.box, track.box) > _OVERSIZE_COVER * track.box.volume_m3
     )

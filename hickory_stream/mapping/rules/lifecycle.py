@@ -44,7 +44,6 @@ class LifeEvent(StrEnum):
     TAKES_IN = "another track is merged into it"
     JUDGED = "a keyframe: comparison with the observed space"
     AGED = "a keyframe: time has passed"
-    SPACE_FORGOTTEN = "the odometry jumps, or the source has ended"
     SOURCE_ENDED = "the source has ended"
 
 
@@ -67,7 +66,6 @@ class TrackEffect(StrEnum):
     """What else is done when a row applies."""
 
     DOUBT = "the time for which it was observed decreases"
-    TRIM = "its points in a wall are removed"
     DROP = "it is removed, its shape job cancelled"
     MERGE = "it is merged into the other track, its shape job cancelled"
 
@@ -105,7 +103,7 @@ class Transition:
 
 def _life_cycle() -> tuple[Transition, ...]:
     e, g, tentative, active = LifeEvent, Guard, (Phase.TENTATIVE,), (Phase.ACTIVE,)
-    drop, merge, trim = (TrackEffect.DROP,), (TrackEffect.MERGE,), (TrackEffect.TRIM,)
+    drop, merge = (TrackEffect.DROP,), (TrackEffect.MERGE,)
     return (
         Transition(None, e.BORN, (), Phase.TENTATIVE),
         Transition(None, e.SPLIT_OFF, (), Phase.TENTATIVE),
@@ -117,10 +115,8 @@ def _life_cycle() -> tuple[Transition, ...]:
         Transition(tentative, e.AGED, (g.UNCONFIRMED,), End.DROPPED, drop, "never confirmed"),
         Transition(CONFIRMED, e.AGED, (g.LONG_UNSEEN,), Phase.ARCHIVED),
         Transition(active, e.AGED, (g.UNSEEN, g.KNOWN_HERE, g.UNSUPPORTED), End.MERGED, merge),
-        Transition(active, e.AGED, (g.UNSEEN, g.KNOWN_HERE), Phase.DORMANT, trim),
         Transition(CONFIRMED, e.AGED, (g.UNSEEN,), Phase.DORMANT),
         Transition(CONFIRMED, e.AGED, (), Phase.ACTIVE),
-        Transition(ANY, e.SPACE_FORGOTTEN, (g.KNOWN_HERE,), None, trim),
         Transition(tentative, e.SOURCE_ENDED, (), End.DROPPED, drop, "never confirmed"),
         Transition(CONFIRMED, e.SOURCE_ENDED, (g.KNOWN_HERE, g.UNSUPPORTED), End.MERGED, merge),
     )

@@ -21,7 +21,9 @@ from scipy.spatial import cKDTree
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import SpaceState, sees_structure
 from hickory_stream.mapping.rules.support_relations import (
+    COLUMN_M,
     LOWEST_PCT,
+    SLACK_M,
     Body,
     bottom_of_box_m,
     height_under,
@@ -32,21 +34,17 @@ from hickory_stream.mapping.rules.support_relations import (
     stands_in,
 )
 
-# The lowest points of a track: those up to this height above the lowest percentile of z.
-_FOOT_M = 0.05
 # The depths below the lowest points at which free space is checked: beyond the noise of the foot, a few voxels deep.
-_BELOW_M = (0.08, 0.13, 0.18)
+_BELOW_M = (2 * SLACK_M, 3 * SLACK_M, 4 * SLACK_M)
 # A body that begins this near to the floor rests on it.
 _ON_FLOOR_M = 0.35
 # Minimum height of an unsupported track's lowest points above the floor: lower tracks may have thin feet.
 _MIN_HEIGHT_M = 0.25
 # Minimum share of the space below its lowest points that was observed free.
 _FREE_SHARE = 0.9
-# It is supported if more than this share of its lowest points is within this distance of another track.
-_SUPPORT_M = 0.06
+# It is supported if more than this share of its lowest points is beside another track, or if structure is near.
 _SUPPORT_SHARE = 0.1
-# It is supported if structure is within this distance.
-_NEAR_WALL_M = 0.1
+_NEAR_WALL_M = 2 * SLACK_M
 # Maximum distance to the track that it is attached to.
 ATTACH_M = 0.15
 
@@ -59,13 +57,13 @@ def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body
     low = float(np.percentile(points[:, 2], LOWEST_PCT))
     if low < space.floor_z_m + _MIN_HEIGHT_M:
         return None
-    foot = points[points[:, 2] < low + _FOOT_M]
+    foot = points[points[:, 2] < low + SLACK_M]
     if not _is_free_below(foot, points, space) or sees_structure(space, body.box, points, _NEAR_WALL_M):
         return None
     near = [other for other in others if other.id != body.id and _meet(body, other, ATTACH_M)]
     clouds = [cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
-        distances_m, _ = cloud.query(foot, distance_upper_bound=_SUPPORT_M)
+        distances_m, _ = cloud.query(foot, distance_upper_bound=SLACK_M)
         if float(np.isfinite(distances_m).mean()) >= _SUPPORT_SHARE:
             return None
     gaps_m = [float(cloud.query(points, distance_upper_bound=ATTACH_M)[0].min()) for cloud in clouds]
@@ -86,8 +84,8 @@ def _meet(a: Body, b: Body, slack_m: float) -> bool:
     return bool((a_low <= b_high + slack_m).all() and (b_low <= a_high + slack_m).all())
 
 
-# Bodies whose bounds are farther apart have no relation: this is the longest reach of any relation (a leg's).
-REACH_M = 0.3
+# Bodies whose bounds are farther apart have no relation.
+REACH_M = COLUMN_M
 
 
 class Relation(StrEnum):
@@ -160,14 +158,9 @@ class SupportGraph:
         is_part = is_inner_part(small, large, others)
         return _part(small, large, "the smaller is a part inside the larger") if is_part else None
 
-    def still_part_of(
-        self, small: Body, large: Body, near: Iterable[Body], *, inside: float, max_volume: float
-    ) -> Support | None:
-        """Return the edge by which the smaller body, split off the larger one, is an inner part of it, or None.
-
-        `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
-        """
-        is_part = is_inner_part(small, large, near, inside=inside, max_volume=max_volume, was_one=True)
+    def still_part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
+        """Return the edge by which the smaller body, split off the larger one, is an inner part of it, or None."""
+        is_part = is_inner_part(small, large, near, was_one=True)
         return _part(small, large, "the smaller was a part inside the larger") if is_part else None
 
     def hidden_by(self, small: Body, large: Body) -> Support | None:

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.events import Effect, FrameObserved
-from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
+from hickory_stream.mapping.entities.cloud import is_packed, pack_part
 from hickory_stream.mapping.entities.observed_space import SpaceState, window_of
 from hickory_stream.mapping.entities.submaps import space_around
-from hickory_stream.mapping.entities.track import Track, is_object, sketched, with_cloud
+from hickory_stream.mapping.entities.track import Track, is_object, sketched
 from hickory_stream.mapping.entities.track_table import REACH_M, Mark
 from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.fixtures import judged
@@ -37,7 +36,7 @@ from hickory_stream.mapping.rules.lifecycle import (
     is_sure,
     transition,
 )
-from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall
+from hickory_stream.mapping.rules.structure_checks import is_seen_through
 from hickory_stream.mapping.rules.support_graph import ATTACH_M
 from hickory_stream.mapping.steps.endings import drop, unite
 from hickory_stream.records import ObjectShape, Phase
@@ -158,14 +157,8 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
     return effects
 
 
-def settle(state: MapState, config: MappingConfig) -> None:
-    """Remove the points of tracks that lie in structure, before the observed space is reset."""
-    _happens_to_all(state, LifeEvent.SPACE_FORGOTTEN, config, merges=False)
-
-
 def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Drop the tracks that were not confirmed by the end, and merge unsupported ones."""
-    settle(state, config)
     return _happens_to_all(state, LifeEvent.SOURCE_ENDED, config, merges=merges)
 
 
@@ -274,18 +267,6 @@ def _doubt(case: TrackTransition, _: Transition) -> list[Effect]:
     return []
 
 
-def _trim(case: TrackTransition, _: Transition) -> list[Effect]:
-    track = case.track
-    # A few of its points may lie further away than it reaches without them.
-    space = space_around(case.state.submaps, bounds_of(track.cloud.points), REACH_M)
-    in_wall = points_in_wall(track, space)
-    if in_wall is not None:
-        case.state.decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
-        rest = without(track.cloud, in_wall)
-        case.change(with_cloud(track, rest, track.sightings, case.config.voxels.object_m))
-    return []
-
-
 def _drop(case: TrackTransition, row: Transition) -> list[Effect]:
     assert row.cause is not None
     return drop(case.state, case.track, row.cause)
@@ -312,7 +293,6 @@ GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
 
 EFFECTS: dict[TrackEffect, Callable[[TrackTransition, Transition], list[Effect]]] = {
     TrackEffect.DOUBT: _doubt,
-    TrackEffect.TRIM: _trim,
     TrackEffect.DROP: _drop,
     TrackEffect.MERGE: _merge,
 }

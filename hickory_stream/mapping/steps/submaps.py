@@ -12,7 +12,6 @@ from hickory_stream.mapping.entities.observed_space import floor_change
 from hickory_stream.mapping.entities.submaps import SubmapConfig, looking_at
 from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.space_agreement import agreed_after
-from hickory_stream.mapping.steps.ageing import settle
 from hickory_stream.mapping.steps.endings import compress_tracks
 from hickory_stream.records import MapSnapshot
 
@@ -40,11 +39,10 @@ def see_space(state: MapState, event: FrameObserved) -> None:
     state.submaps = submaps.with_seen(state.submaps, event.space, state.derived.warm.keep)
 
 
-def jump(state: MapState, event: PoseJumped, config: MappingConfig) -> None:
+def jump(state: MapState, event: PoseJumped) -> None:
     """Close the submap: the odometry has jumped."""
     # Later poses are in the same world frame, so objects can be re-identified. The observed space starts empty: an
     # error of a few centimetres in the jump would see through an object, or place it inside a wall.
-    settle(state, config)
     state.submaps = submaps.after_pose_jump(state.submaps)
     state.split_candidates = {}
     now_id, distance_m = state.submaps.open_id, portable.norm(event.after_from_before[:3, 3])

@@ -1,4 +1,4 @@
-"""The tracker: data association of a keyframe's observations with tracks; births, doubts, votes and splits.
+"""The tracker: data association of a keyframe's observations with tracks; births, votes and splits.
 
 A keyframe's masks may be wrong: points on another track are not fused, and segmenting two tracks as one or as two is
 only a vote, which `splitting` and `merging` count.
@@ -18,7 +18,7 @@ from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.entities.track import Sighting, Track, grown, new_track, with_cloud
 from hickory_stream.mapping.map_state import MapState
-from hickory_stream.mapping.rules.association import Match, associate, is_oversized
+from hickory_stream.mapping.rules.association import Match, associate
 from hickory_stream.mapping.rules.lifecycle import LifeEvent, counted_ns, first_phase
 from hickory_stream.mapping.rules.merge_history import after_split, recalled, restored, without_far, without_views_of
 from hickory_stream.mapping.rules.merging import (
@@ -38,21 +38,11 @@ Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 # A look counts no longer than this as a vote, so that one under-segmented keyframe never decides.
 _LOOK_NS = 500_000_000
-# Maximum number of tracks, those with the best IoU, for which one observation counts as oversized.
-_MAX_OVERSIZED = 4
-# An observation's points are not fused where they lie on another track with at least this many sightings.
-_NEIGHBOR_SIGHTINGS = 2
 # Masks with a smaller share of their outline drawn are less often right: 0.3 to 0.5 of them on a campus, 0.5 to 0.7
 # above it; in a home 0.7 to 0.8 of them, however large the share is above it.
 _DRAWN = 0.5
-# If at least this share of an observation lies on other tracks, none of it is fused.
-_FOREIGN_SHARE = 0.9
 # A part that is thinner, or less than twice that wide, is a rim or a board of its host.
 _MIN_SIZE_M = 0.025
-# A part with this share of its box inside the host's box, and at most this share of the host's volume, stays with the
-# host if no support surface is below it: a panel, a drawer.
-_PART_INSIDE = 0.55
-_PART_VOLUME = 0.5
 
 
 class Tracker:
@@ -78,7 +68,6 @@ class Tracker:
         else:
             object_m = self._config.voxels.object_m
             matches = associate(event.observations, state.tracks, object_m, self._config.associate)
-        self._doubt(state, event, matches)
         sightings = [self._place(state, event, match) for match in matches]
         self._vote(state, sightings)
         self._note_split_candidates(state, event, sightings)
@@ -95,18 +84,6 @@ class Tracker:
             effects += unite(state, kept_id, gone_id, reason, self._config)
             changed = (changed - {gone_id}) | {kept_id}
         return effects
-
-    def _doubt(self, state: MapState, event: FrameObserved, matches: list[Match]) -> None:
-        config = self._config.associate
-        seen = {match.track_id for match in matches}
-        for match in matches:
-            observation = event.observations[match.observation_index]
-            for track_id, _ in match.candidates[:_MAX_OVERSIZED]:
-                track = state.tracks[track_id]
-                if track_id not in seen and is_oversized(observation, track, config):
-                    state.tracks[track_id] = replace(track, doubts=track.doubts + 1)
-        for track_id in sorted(i for i in seen if i is not None):
-            state.tracks[track_id] = replace(state.tracks[track_id], doubts=0)
 
     def _place(self, state: MapState, event: FrameObserved, match: Match) -> Sighting:
         observation = event.observations[match.observation_index]
@@ -159,21 +136,18 @@ class Tracker:
         since_ns = counted_ns(state.clock_ns - track.seen_clock_ns)
         track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=state.clock_ns)
         track = replace(track, seen_through_ns=0, seen_in=state.submaps.open_id)
-        if on_others.mean() < _FOREIGN_SHARE:
-            own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
-            track = grown(track, own, sightings, self._config.voxels.object_m)
-            seen_ns = round(min(1.0, observation.drawn / _DRAWN) * since_ns)
-            track = replace(track, observed_ns=track.observed_ns + seen_ns)
-        state.tracks[track.id] = track
+        own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
+        track = grown(track, own, sightings, self._config.voxels.object_m)
+        seen_ns = round(min(1.0, observation.drawn / _DRAWN) * since_ns)
+        state.tracks[track.id] = replace(track, observed_ns=track.observed_ns + seen_ns)
         return tuple(covered)
 
     def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
-        # Other established tracks that an observation's points may belong to.
+        # Other tracks that an observation's points may belong to.
         if self.is_external:
             return []
         near = state.tracks.touching(bounds_of(observation.points_world))
-        least = _NEIGHBOR_SIGHTINGS
-        return [other for other in near if other.id != track.id and other.sightings >= least]
+        return [other for other in near if other.id != track.id]
 
     def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
         # Apart: two whole observations whose boxes touch. Together only if not apart, since small objects in contact
@@ -269,7 +243,7 @@ def _split_off(
     small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
     near = [track for track in state.tracks.touching(new.bounds) if track.id != host_id]
     graph = state.support_graph()
-    is_part = graph.still_part_of(small, large, near, inside=_PART_INSIDE, max_volume=_PART_VOLUME)
+    is_part = graph.still_part_of(small, large, near)
     if is_part is not None or why_one(left, new, near, votes, graph, voxel_m, config.merge) is not None:
         return None
     state.next_id += 1

@@ -16,7 +16,6 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
 from hickory_stream.perception.structure.ground import AT_FLOOR_M, Ground, GroundConfig
-from hickory_stream.perception.structure.raised_patches import NearPlane
 from hickory_stream.perception.surface import Surface
 from hickory_stream.storeys import STOREY_M
 
@@ -34,9 +33,6 @@ _WALL_WIDTH_M = 0.9
 _WALL_FOOT_M = 1.2
 _WALL_HEIGHT_M = 2.1
 _WALL_CUT_M = 1.5
-# It is the front of a cupboard instead if a parallel surface of this area is at most this far behind it.
-_FURNITURE_DEPTH_M = 0.75
-_BACKING_M2 = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -163,23 +159,17 @@ def structure_mask(
     areas_m2: NDArray[np.float32],
     floor_z_m: float | None,
     ground: Ground | None,
-) -> tuple[NDArray[np.bool_], list[NearPlane]]:
-    """Return (h, w) the pixels on or behind floor (`floor_z_m` or `ground`), walls or ceiling; and their planes."""
+) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels on or behind floor (`floor_z_m` or `ground`), walls or ceiling."""
     tolerance = _TOLERANCE_M + 2.0 * surface.sigma_m
     mask = _ceiling(surface, areas_m2, tolerance)
-    planes: list[NearPlane] = []
     if floor_z_m is not None:
         height = surface.points_world[..., 2] - np.float32(floor_z_m) if ground is None else ground.height_m
         level = surface.normals_world[..., 2] > 0.8
-        near = (height < tolerance) & (level | (height < 0.6 * tolerance))
-        planes.append(NearPlane(distance_m=height, near=near, is_floor=True))
+        mask |= (height < tolerance) & (level | (height < 0.6 * tolerance))
     for wall in _walls(surface, areas_m2, floor_z_m):
-        distance = wall.distance_m(surface)
-        near = wall.mask(surface, distance, tolerance)
-        planes.append(NearPlane(distance_m=distance, near=near, is_floor=False))
-    for plane in planes:
-        mask |= plane.near
-    return mask, planes
+        mask |= wall.mask(surface, wall.distance_m(surface), tolerance)
+    return mask
 
 
 def _ceiling(surface: Surface, areas_m2: NDArray[np.float32], tolerance: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -224,10 +214,7 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
             elif _is_high(at[:, 2], facing.pixels[on_it], width, floor_z_m):
                 sections, inverse = np.unique(_stretches(at, inward), return_inverse=True)
                 cells = sections[np.bincount(inverse, weights=facing.weight[on_it]) > _SEEN_M2]
-                depth = offset - offsets
-                is_backing = (depth > 0.12 + facing.sigma) & (depth < _FURNITURE_DEPTH_M)
-                backing = float(facing.weight[is_backing].sum())
-                if len(cells) * _STRETCH_M > _WALL_WIDTH_M and backing < _BACKING_M2:
+                if len(cells) * _STRETCH_M > _WALL_WIDTH_M:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
         if float(left.weight.sum()) < _WALL_AREA_M2:
             break

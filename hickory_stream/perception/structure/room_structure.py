@@ -12,7 +12,6 @@ from hickory_stream.geometry.voxels import first_not_below, key_of_point
 from hickory_stream.perception.structure import detection
 from hickory_stream.perception.structure.detection import HorizontalPlane, StructureConfig
 from hickory_stream.perception.structure.ground import uneven_ground
-from hickory_stream.perception.structure.raised_patches import raised_patches
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import ObservedSpace
 
@@ -47,12 +46,8 @@ def room_structure_of(
     ground = uneven_ground(surface, known, floor_z_m, config.ground, below_camera_m=below_m, least_m2=least_m2)
     if ground is not None:
         floor_z_m = ground.middle_z_m
-    shown, planes_near = detection.structure_mask(surface, areas_m2, floor_z_m, ground)
-    # Raised patches are removed from the map's structure, too: its voxels are coarser than such a patch.
-    structure = shown | known
-    off = raised_patches(planes_near, structure, surface)
-    masks = {"structure": structure & ~off, "shown": shown & ~off}
-    return RoomStructure(areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, **masks)
+    shown = detection.structure_mask(surface, areas_m2, floor_z_m, ground)
+    return RoomStructure(areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=shown | known, shown=shown)
 
 
 @kernel

@@ -152,7 +152,7 @@ def test_the_solid_part_is_what_was_seen_again_unless_little(sightings, hits, ke
     [
         (100, 20, True),
         # Young: what was seen once may be all there is.
-        (100, 7, False),
+        (100, 4, False),
         # Beside it, not beyond: a side that has just come into view.
         (30, 20, False),
     ],

@@ -86,5 +86,4 @@ def test_one_observation_does_not_double_a_settled_track():
     with_bowl = observation(0, box_surface((0.1, 0.0, 0.06), (0.32, 0.2, 0.12)))
     assert is_oversized(with_bowl, mug, config)
     assert not is_oversized(with_bowl, replace(mug, sightings=2), config)
-    assert not is_oversized(with_bowl, replace(mug, doubts=4), config)  # it has been said often enough
     assert not is_oversized(observation(0, box_surface((0.0, 0.0, 0.05), (0.11, 0.1, 0.11))), mug, config)

@@ -14,17 +14,6 @@ def test_a_panel_between_legs_is_a_part_and_a_bin_there_is_not():
     assert not is_inner_part(bin_, desk, [])
 
 
-def test_a_front_is_a_part_across_its_gap_and_a_book_is_not():
-    boards = [box_surface((0.0, 0.0, z), (0.6, 1.4, 0.02)) for z in (0.02, 0.88)]
-    counter = track(1, np.concatenate([*boards, box_surface((-0.29, 0.0, 0.45), (0.02, 1.4, 0.9))]))
-    front, book = (box_surface((0.26, 0.0, 0.5), size) for size in ((0.02, 1.2, 0.3), (0.02, 0.16, 0.2)))
-    for points in (front, book):
-        points[:, 2] += boards[1][:, 2].min() - 0.04 - points[:, 2].max()
-    front, book = track(2, front), track(3, book)
-    assert is_inner_part(front, counter, [])
-    assert not is_inner_part(book, counter, [])
-
-
 def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it():
     boards = [box_surface((0.0, 0.0, z), (0.3, 0.8, 0.02)) for z in (0.05, 0.45, 0.85)]
     sides = [box_surface((0.0, y, 0.45), (0.3, 0.02, 0.9)) for y in (-0.4, 0.4)]

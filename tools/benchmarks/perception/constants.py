@@ -20,6 +20,8 @@ _SHAPES, _SUBMAPS = "when shapes are computed", "in which submap an object is ke
 _WHOLE = "held or searched beyond what any check looks at"
 NOT_DECIDING = {
     "perception.fastsam.": "of a network that is not installed by default",
+    "perception.sam.": "of a network that is not installed by default",
+    "perception/mask_evidence.py": "of a network that is not installed by default",
     "perception.network.": "how a network is run",
     "perception.dinov2.": "of a network that is not installed by default",
     "perception.semantic.": "of a network that is not installed by default",
@@ -39,11 +41,12 @@ NOT_DECIDING = {
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
     "perception/detection.py:_AZIMUTHS": "the bins of a histogram", "perception/space.py": "the layout of keys",
     "mapping/shape_requests.py": _SHAPES, "mapping/views.py:_SECTORS": "how many views are kept",
-    "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/association.py:_TIE": "equality but for rounding",
     "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
     "mapping/track.py:_BOX_POINTS": "how many points are read",
     "mapping/support_relations.py:_SAMPLE": "how many points are read",
+    "mapping/support_relations.py:_UNDER": _SHAPES, "mapping/support_relations.py:_SECTORS": _SHAPES,
+    "mapping/support_relations.py:_LOWER_M": _SHAPES, "mapping/support_graph.py:_ON_FLOOR_M": _SHAPES,
 }  # fmt: skip
 """The reason why a number decides nothing, by the beginning of its name."""
 _LEAST = 1e-3
