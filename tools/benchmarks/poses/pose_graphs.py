@@ -29,8 +29,8 @@ NODE_STEP_M, NODE_STEP_NS = 3.0, 5_000_000_000
 _ROUTE = np.array([[0, 0], [12, 0], [12, 8], [6, 8], [6, 16], [0, 16], [0, 8], [-6, 8], [-6, 0]], dtype=np.float64)
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.03, 0.01
 _NEAR_M, _FAR_M, _LEAST_GAP = 3.0, 6.0, 10
-# Of the loops of a public graph, so many more are added between nodes that they do not join.
-_WRONG_SHARE = 0.1
+# As a share of the loops of a public graph, and at most: loops are added between nodes that they do not join.
+_WRONG_SHARE, _MOST_WRONG = 0.1, 20
 # Of what a planar graph leaves out: an information, and a sigma of the vertical; and the sigma where none is known.
 _PLANAR, _PLANAR_RAD, _NO_VERTICAL_RAD = 1e6, 1e-3, 1e3
 
@@ -165,7 +165,7 @@ def public_figures(folder: Path, options: Options) -> list[Figure]:
         graph, name = read_g2o(file), file.stem.replace("-", "_").lower()
         own, rng, num = solve(graph), np.random.default_rng(options.seed), len(graph.loops)
         wrong = [replace(graph.loops[k], id=num + i, **dict(zip(("earlier", "later"), ends, strict=True)))
-                 for i, k in enumerate(rng.integers(0, num, max(round(_WRONG_SHARE * num), 1)))
+                 for i, k in enumerate(rng.integers(0, num, max(min(round(_WRONG_SHARE * num), _MOST_WRONG), 1)))
                  for ends in [np.sort(rng.choice(graph.num_nodes, 2, replace=False)).tolist()]]  # fmt: skip
         started = time.process_time()
         answer = solve(replace(graph, loops=(*graph.loops, *wrong)))
