@@ -275,6 +275,7 @@ class Aligned(TypedDict):
     margin: NotRequired[float]
     is_level: NotRequired[bool]
     is_refined: NotRequired[bool]
+    is_weak: NotRequired[bool]
     pairs: NotRequired[list[Pair]]
     refusal: NotRequired[str]
     reason: NotRequired[str]

@@ -11,7 +11,7 @@ from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
 from hickory_stream.alignment.affinity import distinctive_log_ranks, fused_log_ranks, semantic_scores, why_no_semantics
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
 from hickory_stream.alignment.config import AlignConfig
-from hickory_stream.alignment.grouping import grouped_probability
+from hickory_stream.alignment.grouping import grouped_probability, log_densities_of
 from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, matched
 from hickory_stream.alignment.hypothesis import judged as judged_as
 from hickory_stream.alignment.judgement import (
@@ -85,7 +85,8 @@ def evidence_of(
     scores = _scored(map_a, map_b, shape_scores)
     ranks = distinctive_log_ranks(scores.log_ranks)
     share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
-    volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
+    both = map_a.centroids, map_b.centroids
+    volume_m3 = np.sqrt(effective_volume_m3(both[0]) * effective_volume_m3(both[1]))
     evidence = Evidence(
         centroids_a=map_a.centroids,
         centroids_b=map_b.centroids,
@@ -100,8 +101,9 @@ def evidence_of(
             volume_m3=float(volume_m3),
             max_tilt_rad=float(np.radians(config.acceptance.max_tilt_deg)),
             tilt_price=10.0**config.acceptance.tilt_price,
-            grouped=grouped_probability((map_a.centroids, map_b.centroids)),
+            grouped=grouped_probability(both),
         ),
+        log_densities=(log_densities_of(both[0], volume_m3), log_densities_of(both[1], volume_m3)),
         looks=tuple(score for score in (scores.semantic, scores.geometric) if score is not None),
     )
     return evidence, scores

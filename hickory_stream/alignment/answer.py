@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from hickory_stream.alignment.hypothesis import Hypothesis
 from hickory_stream.geometry.arrays import freeze
 
+# log10 of the expected false alarms above which an alignment is weak: unrelated rooms that look alike reach -2.2 in two
+# of 144 pairs, right alignments of such rooms -12 and less.
+SURE_LOG10_CHANCE = -8.0
+
 
 class Refusal(StrEnum):
     """Why two maps were not aligned."""
@@ -103,6 +107,11 @@ class Alignment:
         freeze(self, "a_from_b", np.float64, (4, 4))
         freeze(self, "covariance", np.float64, (6, 6))
         freeze(self, "center_a", np.float64, (3,))
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether unrelated places that look alike might agree as well; maps are not merged by such an answer."""
+        return self.log10_chance > SURE_LOG10_CHANCE
 
     @property
     def translation_sigma_m(self) -> float:

@@ -56,6 +56,8 @@ class Evidence:
     #: the largest residual in multiples of `sigma_m`
     gate: float
     chance: Chance
+    #: (N,) and (M,) `log_densities_of` both maps
+    log_densities: tuple[NDArray[np.float64], NDArray[np.float64]]
     #: the scores (N, M) behind the ranks, NaN if unknown
     looks: tuple[NDArray[np.float64], ...] = ()
 
@@ -111,7 +113,9 @@ def judged(
     order = np.lexsort((pairs[:, 0], squares / (2 * evidence.sigma_m**2) + ranks))
     pairs, squares, ranks, points_a = pairs[order], squares[order], ranks[order], points_a[order]
     logs = log_expected_sets(evidence.chance, ranks, np.cumsum(squares), _running_scatters(points_a), is_level=is_level)
-    grouped = logs + log_prices(points_a, ranks, evidence.chance.grouped, evidence.chance.volume_m3)
+    chance, (of_a, of_b) = evidence.chance, evidence.log_densities
+    densities = (of_a[pairs[:, 0]] + of_b[pairs[:, 1]]) / 2
+    grouped = logs + log_prices(points_a, ranks, densities, chance.grouped, chance.volume_m3)
     best = int(np.argmin(grouped))
     return Hypothesis(
         a_from_b=a_from_b,

@@ -89,7 +89,6 @@ class Factors:
     def judged(self, doubted: Sequence[int], limit_chi2: float) -> tuple[NDArray[np.float64], Any]:
         """Return the weights (K,), 0..1, of the factors at these places by graduated non-convexity, and values."""
         # GTSAM's `GncLMOptimizer` restarts in each round; from the last round one Gauss-Newton step is enough.
-        # GTSAM's `GncLMOptimizer` restarts in each round; from the last round one Gauss-Newton step is enough.
         factors: list[Any] = [self.graph.at(place) for place in doubted]
         roots = [factor.noiseModel().R() for factor in factors]
         ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)

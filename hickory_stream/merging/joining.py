@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal, count_text
+from hickory_stream.alignment.answer import SURE_LOG10_CHANCE, Alignment, NoAlignment, Refusal, count_text
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.base.ranges import Ranged, number
@@ -16,11 +16,10 @@ class JoiningConfig(Ranged):
     Attributes:
         align: how they are aligned.
         max_log10_chance: maximum log10 of the expected number of false alarms of an alignment that joins two maps.
-            Rooms are more alike than chance: two of 144 pairs of unrelated ones reach -4.2 and -5.3, right ones -13.
     """
 
     align: AlignConfig = field(default_factory=AlignConfig)
-    max_log10_chance: float = number(-8.0, -1000, 1000, "log10")
+    max_log10_chance: float = number(SURE_LOG10_CHANCE, -1000, 1000, "log10")
 
 
 def aligned_to_join(map_a: ObjectMap, map_b: ObjectMap, config: JoiningConfig | None = None) -> Alignment | NoAlignment:

@@ -38,8 +38,8 @@ _CORRELATED = 12.0
 _KEYFRAME_M, _KEYFRAME_COSINE = 0.5, 0.87
 # 70 kB each; the oldest are forgotten first.
 _MAX_KEYFRAMES = 1000
-# A lost camera is looked for in the nearest keyframes.
-_NUM_SEARCHED = 30
+# A lost camera is looked for in the keyframes that every sixth of its features votes for most.
+_VOTES_EVERY, _NUM_SEARCHED = 6, 8
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -115,9 +115,10 @@ class VisualMotion:
         """Return the pose of a frame by the keyframe that shows most of the same; None: none does."""
         if self._last is None:
             return None
-        away = np.linalg.norm(self._places[:, :3, 3] - self._last.start_from_camera[:3, 3], axis=1)
-        nearest = np.argsort(away, kind="stable")[:_NUM_SEARCHED]
-        poses = (self._pose(features, self._keyframes[i], _LEAST_FOUND) for i in nearest)
+        some = features.descriptors[::_VOTES_EVERY]
+        votes = [len(self._alike(some, each.features.descriptors)) for each in self._keyframes]
+        likeliest = np.argsort(-np.array(votes), kind="stable")[:_NUM_SEARCHED]
+        poses = (self._pose(features, self._keyframes[i], _LEAST_FOUND) for i in likeliest)
         return max((pose for pose in poses if pose is not None), key=lambda pose: pose.num_inliers, default=None)
 
     def placed(self, features: Features, start_from_camera: Matrix) -> None:
@@ -147,12 +148,16 @@ class VisualMotion:
 
     def _matches(self, ours: Features, theirs: Features) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         known = np.flatnonzero(np.isfinite(theirs.points[:, 2]))
-        if len(ours.descriptors) == 0 or len(known) < 2:
-            return np.empty(0, np.int64), np.empty(0, np.int64)
-        pairs = self._matcher.knnMatch(ours.descriptors, theirs.descriptors[known], k=2)
-        good = [first for first, second in pairs if first.distance < _RATIO * second.distance]
+        good = self._alike(ours.descriptors, theirs.descriptors[known])
         own, other = (np.array([getattr(each, name) for each in good], np.int64) for name in ("queryIdx", "trainIdx"))
         return own, known[other]
+
+    def _alike(self, ours: NDArray[np.uint8], theirs: NDArray[np.uint8]) -> list[cv2.DMatch]:
+        # The matches that are clearly nearer than the second nearest.
+        if len(ours) == 0 or len(theirs) < 2:
+            return []
+        pairs = self._matcher.knnMatch(ours, theirs, k=2)
+        return [first for first, second in pairs if first.distance < _RATIO * second.distance]
 
 
 def _located(

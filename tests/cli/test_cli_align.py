@@ -1,12 +1,15 @@
 import json
+from dataclasses import replace
+from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import NoAlignment, Refusal
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
-from hickory_stream.cli.maps.align import named_maps, pose_text
+from hickory_stream.cli.maps.align import answer_json, answer_text, load_objects, named_maps, pose_text
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.relocalise import relocalise
 from hickory_stream.geometry.rigid import invert
@@ -45,6 +48,13 @@ def test_two_maps_of_one_place_are_aligned(maps, capsys):
     assert np.allclose(told["a_from_b"], invert(B_FROM_WORLD), atol=0.01)
     assert main(["align", maps["a"], maps["b"]]) == 0
     assert "10 pairs" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("log10_chance", "is_weak"), [(-20, False), (-3, True)])
+def test_an_alignment_with_weak_odds_says_so(maps, log10_chance, is_weak):
+    answer = replace(align(*(load_objects(Path(maps[name])) for name in "ab")), log10_chance=log10_chance)
+    assert answer_json(answer)["is_weak"] is is_weak
+    assert ("weak" in answer_text(answer)) is is_weak
 
 
 @pytest.mark.parametrize(("other", "refusal"), [("other", None), ("empty", "empty")])

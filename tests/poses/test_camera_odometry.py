@@ -5,6 +5,7 @@ import pytest
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.camera_odometry import CameraOdometry
+from hickory_stream.poses.visual_motion import VisualMotion, features_of
 from hickory_stream.records import Frame
 
 CAMERA = Camera(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
@@ -56,6 +57,16 @@ def test_a_lost_camera_finds_its_place_in_its_own_map(picture):
     assert isinstance(blank, NotRegistered)
     again = odometry.register(before_wall(13, 0.35, picture))
     assert abs(sideways(again) - 0.35) < 0.02
+
+
+def test_a_camera_finds_its_place_among_many_nearer_ones(picture):
+    motion, places, elsewhere = VisualMotion(), np.tile(np.eye(4), (40, 1, 1)), features_of(before_wall(1, 6, picture))
+    places[:, 1, 3] = 40.0 + np.arange(40)
+    motion.placed(features_of(before_wall(0, 0.4, picture)), before_wall(0, 0.4).world_from_camera)
+    for place in places:
+        motion.placed(elsewhere, place)
+    found = motion.found(features_of(before_wall(2, 0.5, picture)))
+    np.testing.assert_allclose(found.start_from_camera[:3, 3], (0.5, 0, 0), atol=0.02)
 
 
 def test_another_wall_is_no_known_place(picture):

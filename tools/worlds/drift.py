@@ -1,8 +1,9 @@
 """Odometry with drift: a true trajectory with the errors of dead reckoning."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.worlds.trajectory import Trajectory
@@ -20,8 +21,12 @@ class DriftConfig:
 
 
 def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generator) -> Trajectory:
-    """Return the trajectory as odometry reports it: it starts at the true pose, and the vertical has no error."""
-    true = trajectory.world_from_camera
+    """Return the trajectory as odometry reports it."""
+    return replace(trajectory, world_from_camera=drifted_poses(trajectory.world_from_camera, config, rng))
+
+
+def drifted_poses(true: NDArray[np.float64], config: DriftConfig, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return poses (N, 4, 4) as odometry reports them: the first is true, and the vertical has no error."""
     poses = np.empty_like(true)
     poses[0] = true[0]
     scale, yaw = rng.standard_normal(2)
@@ -36,4 +41,4 @@ def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generato
         # A rotation about the vertical axis through the camera: it changes the heading, not the position.
         turn = yaw_rotation(np.radians(config.yaw_deg_per_m) * yaw * moved_m)
         poses[i] = from_rotation_translation(turn @ pose[:3, :3], pose[:3, 3])
-    return Trajectory(times_s=trajectory.times_s, world_from_camera=poses)
+    return poses

@@ -81,7 +81,7 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
         return report | {
             **picked(answer, "a_from_b", "covariance", "center_a", "translation_sigma_m"),
             "rotation_sigma_deg": float(np.degrees(answer.rotation_sigma_rad)),
-            **picked(answer, "log10_chance", "margin", "is_level", "is_refined"),
+            **picked(answer, "log10_chance", "margin", "is_level", "is_refined", "is_weak"),
             "pairs": [
                 {"a": pair.id_a, "b": pair.id_b, **picked(pair, "semantic", "geometric", "rank", "residual_m")}
                 for pair in answer.pairs
@@ -105,7 +105,7 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
     """Return an answer as text."""
     import numpy as np
 
-    from hickory_stream.alignment.answer import Alignment, count_text
+    from hickory_stream.alignment.answer import SURE_LOG10_CHANCE, Alignment, count_text
 
     notes = [f"note: {note}" for note in answer.notes]
     if not isinstance(answer, Alignment):
@@ -125,6 +125,11 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
         f"  {count_text(answer.log10_chance)} such sets of pairs expected by chance; {_separation_text(answer)}",
         f"  of {against.num_expected} objects in observed places of the other map, {against.num_missing} are missing",
     ]
+    if answer.is_weak:
+        limit = count_text(SURE_LOG10_CHANCE)
+        lines.append(
+            f"  weak: other places that look alike may agree as well; `merge` accepts at most {limit} such sets"
+        )
     return "\n".join([*lines, *notes])
 
 

@@ -23,12 +23,11 @@ from hickory_stream.geometry.rigid import compose, from_rotation_translation
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, mean
 from tools.benchmarks.poses.drift_logs import FACTORS, DriftingWalk, Poses, drift_of, drifting_walks
 from tools.evaluation.masks.first_layer import keyframes_of
-from tools.worlds.drift import drifted
+from tools.worlds.drift import drifted_poses
 
 CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 
@@ -96,11 +95,10 @@ def registration_figures(log: Path) -> list[Figure]:
     frames = list(keyframes_of(log, MapperConfig()))
     true = np.array([frame.world_from_camera for frame in frames])
     stamps_ns = [frame.stamp_ns for frame in frames]
-    trajectory = Trajectory(times_s=np.arange(len(true), dtype=float), world_from_camera=true)
     found, ms = [], []
     for factor in FACTORS:
         places, poses = RegistrationFilter(RegistrationConfig()), []
-        drifting = list(drifted(trajectory, drift_of(factor), np.random.default_rng([1, 6])).world_from_camera)
+        drifting = list(drifted_poses(true, drift_of(factor), np.random.default_rng([1, 6])))
         for frame, pose in zip(frames, drifting, strict=True):
             started_s = time.process_time()
             placed = places.place(replace(frame, world_from_camera=pose))

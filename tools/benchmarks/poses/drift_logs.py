@@ -6,7 +6,7 @@ rendering.
 """
 
 import runpy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from players import open_source
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.foreign.logs import PROGRAM, WorldLog, foreign_log, recorded, worlds_folder
 from tools.evaluation.simulated_maps.moved_source import MovedSource
-from tools.worlds.drift import DriftConfig, drifted
+from tools.worlds.drift import DriftConfig, drifted, drifted_poses
 from tools.worlds.recording_config import RecordingConfig, walkable_world
 
 Poses = dict[int, NDArray[np.float64]]
@@ -49,7 +49,7 @@ class DriftingWalk:
     def open(self, factor: float) -> Source:
         """Return the log as a source, with the odometry that drifts by this factor; 0: with exact poses."""
         source = open_source(str(self.log.log))
-        return source if factor == 0.0 else MovedSource(source, lambda raw: self.odometry[factor][raw.stamp_ns])
+        return source if factor == 0.0 else moved_to(source, self.odometry[factor])
 
 
 def drifting_walks(options: Options) -> list[DriftingWalk]:
@@ -76,6 +76,17 @@ def second_walks(options: Options) -> list[WorldLog]:
 def drift_of(factor: float) -> DriftConfig:
     """Return so many times the default drift of our worlds."""
     return replace(_DEFAULT, scale=factor * _DEFAULT.scale, yaw_deg_per_m=factor * _DEFAULT.yaw_deg_per_m)
+
+
+def drifting(true: Poses, factor: float, seed: Sequence[int]) -> Poses:
+    """Return poses by odometry that drifts by so many times the default, from the first pose on."""
+    moved = drifted_poses(np.array(list(true.values())), drift_of(factor), np.random.default_rng(seed))
+    return dict(zip(true, moved, strict=True))
+
+
+def moved_to(source: Source, poses: Poses) -> Source:
+    """Return a log as a source with other poses."""
+    return MovedSource(source, lambda raw: poses[raw.stamp_ns])
 
 
 def _own_walk() -> DriftingWalk:

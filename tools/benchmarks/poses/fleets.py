@@ -30,7 +30,6 @@ from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.merging.joining import aligned_to_join
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
-from hickory_stream.worlds.trajectory import Trajectory
 from players import SourceOptions, open_source
 from tools.benchmarks.common.cached_runs import cached, cached_map, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
@@ -38,10 +37,8 @@ from tools.benchmarks.common.processes import COARSE, NO_SHAPES
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
 from tools.benchmarks.foreign.parts import CAMPUS, CAMPUS_WALKS
 from tools.benchmarks.poses.drift import CONFIG, keyframe_poses, map_from_world
-from tools.benchmarks.poses.drift_logs import drift_of
-from tools.evaluation.simulated_maps.moved_source import MovedSource
+from tools.benchmarks.poses.drift_logs import drifting, moved_to
 from tools.worlds.cache import cached_recording
-from tools.worlds.drift import drifted
 from tools.worlds.recording_config import RecordingConfig, drawn_frame
 
 _ROOMS, _QUICK_ROOMS, _APARTMENTS = 20, 1, (24, 30)
@@ -118,11 +115,7 @@ def campus_figures(options: Options) -> list[Figure]:
     for walk, camera in CAMPUS_WALKS:
         name, log = f"{walk}-{camera}", foreign_log(worlds, CAMPUS, walk, camera)
         true = {frame.stamp_ns: frame.world_from_camera for frame in load_truth(log.truth).frames}
-        times_s = np.array([stamp_ns / 1e9 for stamp_ns in true])
-        walked = Trajectory(times_s=times_s - times_s[0], world_from_camera=np.array(list(true.values())))
-        rng = np.random.default_rng([51, len(maps)])
-        odometry = dict(zip(true, drifted(walked, drift_of(1.0), rng).world_from_camera, strict=True))
-        source = MovedSource(open_source(str(log.log)), lambda raw, odometry=odometry: odometry[raw.stamp_ns])
+        source = moved_to(open_source(str(log.log)), drifting(true, 1.0, [51, len(maps)]))
         saved = cached_map(folder / name, lambda source=source: source, *CONFIG, NO_SHAPES)
         poses = keyframe_poses(folder / name)[1]
         placed = map_from_world(poses, {stamp_ns: true[stamp_ns] for stamp_ns in poses})

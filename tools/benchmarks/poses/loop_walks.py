@@ -17,7 +17,6 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import wilson
@@ -25,7 +24,7 @@ from tools.benchmarks.common.processes import NO_SHAPES
 from tools.benchmarks.poses.drift_logs import Poses, drift_of
 from tools.benchmarks.poses.loops import is_near
 from tools.evaluation.simulated_maps.moved_source import MovedSource
-from tools.worlds.drift import drifted
+from tools.worlds.drift import drifted_poses
 
 _CAMERA = Camera(width=160, height=120, fx=90.0, fy=90.0, cx=79.5, cy=59.5)
 _NUM_ROOMS, _PITCH_M, _DEPTH_M, _WALL_M, _HIGH_M = 4, 4.1, 3.2, 0.1, 2.4
@@ -118,8 +117,7 @@ def _walk(seed: int, number: int) -> Walk:
         boxes += [_at(room, piece) for piece in (*row, *shared, *own)]
     last = int(rng.integers(0, _NUM_ROOMS - 1)) if returns else _NUM_ROOMS
     true = _poses([*range(_NUM_ROOMS), last])
-    trajectory = Trajectory(times_s=np.arange(len(true)) * PERIOD_NS / 1e9, world_from_camera=true)
-    odometry = drifted(trajectory, drift_of(1.0 if number % 3 else 3.0), rng).world_from_camera
+    odometry = drifted_poses(true, drift_of(1.0 if number % 3 else 3.0), rng)
     return Walk(boxes=tuple(boxes), true=true, odometry=odometry, returns=returns)
 
 

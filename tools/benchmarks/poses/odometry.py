@@ -4,7 +4,6 @@
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +28,7 @@ from tools.benchmarks.poses.drift import drift_figures, registration_figures
 from tools.benchmarks.poses.fleets import campus_figures, fleet_figures
 from tools.benchmarks.poses.loop_walks import walk_figures
 from tools.benchmarks.poses.loops import loop_figures
-from tools.benchmarks.poses.pose_graphs import graph_figures
+from tools.benchmarks.poses.pose_graphs import graph_figures, public_figures
 from tools.benchmarks.poses.real import data_folder, estimated, real_figures
 from tools.worlds.cache import cached_recording
 from tools.worlds.corridor import CorridorConfig, corridor_scans
@@ -46,7 +45,9 @@ _ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
 _EXTRINSICS_SEEDS = (7, 8, 9)
 _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
     "campus": campus_figures, "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
-    "fleet": fleet_figures, "graph": graph_figures, "loops": loop_figures, "squares": square_figures,
+    "fleet": fleet_figures,
+    "graph": lambda options: [*graph_figures(options), *public_figures(data_folder() / "graphs", options)],
+    "loops": loop_figures, "squares": square_figures,
     "walks": walk_figures, "real": real_figures,
 }  # fmt: skip
 
@@ -72,8 +73,6 @@ def measure(options: Options) -> list[Figure]:
     figures += registration_figures(logs[0])
     figures.append(figure("poses_identical", estimated(logs[0])["digest"] == rooms[0]["digest"]))
     figures += _corridors(rooms, quick=quick)
-    if ((data := data_folder()) / "kitti_lidar").is_dir():
-        figures += _street(data / "kitti_lidar")
     figures += [*loop_figures(options), *fleet_figures(options)]
     return (
         figures
@@ -100,20 +99,6 @@ def _corridors(rooms: list[dict[str, Any]], *, quick: bool) -> list[Figure]:
         kiss = _walk(ended, "kiss-icp")
         figures.append(figure("corridor_kiss_icp_end_error_m", kiss.end_error_m, "m", "lower"))
     return figures
-
-
-def _street(folder: Path) -> list[Figure]:
-    odometry = make_odometry("lidar")
-    found = [
-        odometry.register(Scan(stamp_ns=i * 100_000_000, frame="lidar", points=_points_of(file)))
-        for i, file in enumerate(sorted(folder.glob("*.pcd")))
-    ]
-    poses = [each.start_from_sensor for each in found if isinstance(each, Registered)]
-    steps = np.array([np.linalg.norm(compose(invert(a), b)[:3, 3]) for a, b in pairwise(poses)])
-    return [
-        figure("street_registered_fraction", len(poses) / len(found)),
-        figure("street_step_change_m", np.abs(np.diff(steps)).max(), "m", "lower", "from sweep to sweep, the most"),
-    ]
 
 
 def _extrinsics() -> list[Figure]:
@@ -157,9 +142,3 @@ def _walk(walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bo
     moved = compose(invert(start), before)
     end_error_m = float(np.linalg.norm(last[:3, 3] - moved[:3, 3]))
     return SimpleNamespace(end_error_m=end_error_m, num_scans=num_scans, num_degenerate=num_degenerate)
-
-
-def _points_of(file: Path) -> NDArray[np.float32]:
-    header, _, data = file.read_bytes().partition(b"DATA binary\n")
-    count = next(int(line.split()[1]) for line in header.decode().splitlines() if line.startswith("POINTS"))
-    return np.ascontiguousarray(np.frombuffer(data, np.float32, 4 * count).reshape(count, 4)[:, :3])

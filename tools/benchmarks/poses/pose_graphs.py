@@ -1,21 +1,27 @@
-"""The pose graph's solver on simulated graphs with known truth: time, loops accepted and rejected, drift removed."""
+"""The pose graph's solver on simulated graphs with known truth, and on public ones: time, loops, drift removed."""
 # Wrong loops are of three kinds in turn: a look-alike elsewhere, a place off by a shelf or a desk, one turned by half a
 # turn.
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    invert,
+    rotation_from_quaternion,
+    rotation_of_vector,
+    yaw_rotation,
+)
 from hickory_stream.graph.config import GraphConfig
-from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
+from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance, symmetric
 from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import solve
-from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.worlds.drift import DriftConfig, drifted
+from tools.worlds.drift import DriftConfig, drifted_poses
 
 _NODES, _LOOPS, _WRONG = 300, 40, 4
 _DRIFTS = (1.0, 3.0)
@@ -23,6 +29,10 @@ NODE_STEP_M, NODE_STEP_NS = 3.0, 5_000_000_000
 _ROUTE = np.array([[0, 0], [12, 0], [12, 8], [6, 8], [6, 16], [0, 16], [0, 8], [-6, 8], [-6, 0]], dtype=np.float64)
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.03, 0.01
 _NEAR_M, _FAR_M, _LEAST_GAP = 3.0, 6.0, 10
+# As a share of the loops of a public graph, and at most: loops are added between nodes that they do not join.
+_WRONG_SHARE, _MOST_WRONG = 0.1, 20
+# Of what a planar graph leaves out: an information, and a sigma of the vertical; and the sigma where none is known.
+_PLANAR, _PLANAR_RAD, _NO_VERTICAL_RAD = 1e6, 1e-3, 1e3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -85,8 +95,7 @@ def _walked(num_nodes: int) -> NDArray[np.float64]:
 def _by_odometry(true: NDArray[np.float64], drift: float, rng: np.random.Generator) -> NDArray[np.float64]:
     default = DriftConfig()
     config = DriftConfig(scale=drift * default.scale, yaw_deg_per_m=drift * default.yaw_deg_per_m)
-    times_s = np.arange(len(true), dtype=np.float64)
-    return drifted(Trajectory(times_s=times_s, world_from_camera=true), config, rng).world_from_camera
+    return drifted_poses(true, config, rng)
 
 
 def _turned_rad(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
@@ -144,6 +153,76 @@ def graph_figures(options: Options) -> list[Figure]:
         figure("true_loops_accepted", true_accepted / num_true, "", "higher", f"{true_accepted} of {num_true}"),
         *figures,
     ]
+
+
+def public_figures(folder: Path, options: Options) -> list[Figure]:
+    """Return the figures of graphs in g2o's format, with wrong loops among theirs; a quick run has the small ones."""
+    # Their odometry drifts by itself, and there is no truth: errors are against the solution with their own loops.
+    figures = []
+    for file in sorted(folder.glob("*.g2o")):
+        if options.quick and file.stat().st_size > 200_000:
+            continue
+        graph, name = read_g2o(file), file.stem.replace("-", "_").lower()
+        own, rng, num = solve(graph), np.random.default_rng(options.seed), len(graph.loops)
+        wrong = [replace(graph.loops[k], id=num + i, **dict(zip(("earlier", "later"), ends, strict=True)))
+                 for i, k in enumerate(rng.integers(0, num, max(min(round(_WRONG_SHARE * num), _MOST_WRONG), 1)))
+                 for ends in [np.sort(rng.choice(graph.num_nodes, 2, replace=False)).tolist()]]  # fmt: skip
+        started = time.process_time()
+        answer = solve(replace(graph, loops=(*graph.loops, *wrong)))
+        seconds = time.process_time() - started
+        if not isinstance(own, Solution) or not isinstance(answer, Solution):
+            continue
+        before, after = (
+            _ate_m(poses, own.world_from_node) for poses in (graph.world_from_node, answer.world_from_node)
+        )
+        believed, of = set(answer.accepted), f"{graph.num_nodes} nodes"
+        num_true, num_wrong = len(believed & set(own.accepted)), sum(loop.id in believed for loop in wrong)
+        figures += [
+            figure(f"g2o_{name}_ate_ratio", after / before, "", "lower", f"{of}; by odometry {before:.2f} m"),
+            figure(f"g2o_{name}_loops", len(own.accepted) / num, "", "higher", f"{num} loops, none wrong, of {of}"),
+            figure(
+                f"g2o_{name}_kept", num_true / len(own.accepted), "", "higher", f"of them, beside {len(wrong)} wrong"
+            ),
+            figure(f"g2o_{name}_wrong", num_wrong, "", "lower", f"believed, of {len(wrong)}"),
+            figure(f"g2o_{name}_s", seconds, "s", "lower", "processor time"),
+        ]
+    return figures
+
+
+def read_g2o(file: Path) -> PoseGraph:
+    """Return a graph of EDGE_SE2 or EDGE_SE3:QUAT: edges from a node to the next are odometry, the others loops."""
+    odometry, loops, is_planar = dict[int, OdometryEdge](), list[LoopEdge](), False
+    for kind, *words in filter(None, map(str.split, file.read_text().splitlines())):
+        if not kind.startswith("EDGE"):
+            continue
+        first, second = map(int, words[:2])
+        values, is_planar = np.array(words[2:], dtype=np.float64), kind == "EDGE_SE2"
+        # The format has translations first, as a triangle.
+        order, num = ([3, 4, 2], 3) if is_planar else ([3, 4, 5, 0, 1, 2], 7)
+        own = np.zeros((len(order), len(order)))
+        own[np.triu_indices(len(order))] = values[num:]
+        information = _PLANAR * np.eye(6)
+        information[np.ix_(order, order)] = own + np.triu(own, 1).T
+        rotation = yaw_rotation(values[2]) if is_planar else rotation_from_quaternion(*values[3:7])
+        step = from_rotation_translation(rotation, np.array([*values[:2], 0.0]) if is_planar else values[:3])
+        before, after = min(first, second), max(first, second)
+        transform, covariance = step if first < second else invert(step), symmetric(np.linalg.inv(information))
+        if after == before + 1 and after not in odometry:
+            odometry[after] = OdometryEdge(
+                before=before, after=after, before_from_after=transform, covariance=covariance
+            )
+        else:
+            loops.append(LoopEdge(
+                id=len(loops), earlier=before, later=after, earlier_from_later=transform, covariance=covariance,
+                method="surface", score=1.0, stamp_ns=0,
+            ))  # fmt: skip
+    poses = [np.eye(4)]
+    for after in sorted(odometry):
+        poses.append(poses[-1] @ odometry[after].before_from_after)
+    return PoseGraph(
+        world_from_node=np.array(poses), odometry=tuple(odometry[after] for after in sorted(odometry)),
+        loops=tuple(loops), gravity_sigma_rad=_PLANAR_RAD if is_planar else _NO_VERTICAL_RAD,
+    )  # fmt: skip
 
 
 def _ate_m(poses: NDArray[np.float64], true: NDArray[np.float64]) -> float:

@@ -1,13 +1,15 @@
-"""Real walks without their poses: odometry, loops and objects of the map, beside the map with the given poses."""
+"""Real data: walks by given poses, with drift put on and without poses; a street by LiDAR; public pose graphs."""
 # The poses of the canteen are the device's own tracking, good to 1 to 4 cm. Results are cached under `--state`. Objects
 # of two maps are the same at IoU 0.25; the two are placed as the ATE places their keyframes.
 
 import os
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +20,22 @@ from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
 from hickory_stream.evaluation.trajectory_error import trajectory_error
 from hickory_stream.geometry.boxes import box_iou
-from hickory_stream.geometry.rigid import apply, compose, invert, rotation_angle_rad
+from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_angle_rad
 from hickory_stream.geometry.voxels import are_near, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.rigid_motion import moved_box
-from hickory_stream.ports import Source
+from hickory_stream.ports import Registered, Source
+from hickory_stream.poses.choose import make_odometry
+from hickory_stream.poses.odometry_config import MethodName
+from hickory_stream.records import Scan
 from players import SourceOptions, open_source
 from players.options import NO_TOPIC, OdometryChoice
 from tools.benchmarks.common.cached_runs import cached, cached_map, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import NO_SHAPES, ROOT
 from tools.benchmarks.poses.drift import CONFIG, keyframe_poses, map_from_world
-from tools.benchmarks.poses.drift_logs import Poses
+from tools.benchmarks.poses.drift_logs import Poses, drifting, moved_to
 from tools.benchmarks.poses.loop_walks import closed_loops
+from tools.benchmarks.poses.pose_graphs import public_figures
 
 # The figures of odometry on a log begin with its prefix.
 _LOGS = {"canteen": ("canteen_odometry", "tuned on"), "redkitchen": ("depth_odometry", "reported only")}
@@ -40,7 +46,8 @@ def data_folder() -> Path:
 
 
 def real_figures(options: Options) -> list[Figure]:
-    """Return the figures of each real walk that is there; a quick run has those of odometry alone."""
+    """Return the figures of real walks, of a street by LiDAR, and of public pose graphs, of those that are there."""
+    # A quick run has odometry alone, and the small graphs.
     folder, figures = state_folder(options.state, "real"), list[Figure]()
     for name, (prefix, role) in _LOGS.items():
         log = data_folder() / name
@@ -48,28 +55,75 @@ def real_figures(options: Options) -> list[Figure]:
             continue
         runs = {"": partial(estimated, log)}
         if not options.quick:
-            runs |= {"kiss": partial(estimated, log, "kiss-icp"), "map": partial(_mapped, log, folder)}
+            runs |= {"kiss": partial(estimated, log, "kiss-icp")}
+            runs |= {how: partial(_mapped, log, folder, how) for how in ("given", "map", "drift")}
         found = {key: cached(folder / f"{name}{key}.json", run) for key, run in runs.items()}
         own, of = found[""], f"{found['']['frames']} frames, {found['']['way_m']:.1f} m, {found['']['by']}"
-        rows = [
+        rows: list[tuple[Any, ...]] = [
             (f"{prefix}_ate_m", own["ate_m"], "m", "lower", of),
             (f"{prefix}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last frame"),
             (f"{prefix}_degenerate", own["degenerate"], "", "lower", f"of {own['frames']} scans"),
         ]
         if not options.quick:
-            own, of = found["map"], f"{found['map']['poses']} keyframes in the map, {found['map']['kept_out']} kept out"
-            rows += [
-                (f"{prefix.replace('odometry', 'kiss_icp')}_ate_m", found["kiss"]["ate_m"], "m", "lower"),
-                (f"{name}_ate_m", own["ate_m"], "m", "lower", of),
-                (f"{name}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last keyframe"),
-                (f"{name}_loops", own["right"], "", "higher", f"right ones, {own['rejected']} rejected"),
-                (f"{name}_wrong_loops", own["wrong"], "", "lower", "believed"),
-                (f"{name}_kept", own["kept"], "", "higher", f"of {own['given']} objects of the map with given poses"),
-                (f"{name}_also_given", own["also_given"], "", "higher", f"the other way, of {own['found']}"),
-                (f"{name}_doubles", own["doubles"], "", "lower", "objects that the map with given poses has as one"),
-            ]
+            rows.append((f"{prefix.replace('odometry', 'kiss_icp')}_ate_m", found["kiss"]["ate_m"], "m", "lower"))
+            for how, ours in {"given": f"{name}_given", "map": name, "drift": f"{name}_drift"}.items():
+                rows += _map_rows(ours, found[how], is_given=how == "given")
         figures += [figure(*row, role=role) for row in rows]
+    figures += _street(data_folder() / "kitti_lidar", quick=options.quick)
+    return [*figures, *public_figures(data_folder() / "graphs", options)]
+
+
+def _map_rows(name: str, own: dict[str, Any], *, is_given: bool) -> list[tuple[Any, ...]]:
+    of = f"{own['poses']} keyframes in the map, {own['kept_out']} kept out"
+    of += f"; {own['before_m']:.3f} m before" if "before_m" in own else ""
+    rows: list[tuple[Any, ...]] = [
+        (f"{name}_ate_m", own["ate_m"], "m", "lower", of),
+        (f"{name}_end_deg", own["end_deg"], "deg", "lower", "rotation, first to last keyframe"),
+        (f"{name}_loops", own["right"], "", "higher", f"right ones, {own['rejected']} rejected"),
+        (f"{name}_wrong_loops", own["wrong"], "", "lower", "believed"),
+    ]
+    return rows if is_given else [
+        *rows,
+        (f"{name}_kept", own["kept"], "", "higher", f"of {own['given']} objects of the map with given poses"),
+        (f"{name}_also_given", own["also_given"], "", "higher", f"the other way, of {own['found']}"),
+        (f"{name}_doubles", own["doubles"], "", "lower", "objects that the map with given poses has as one"),
+    ]  # fmt: skip
+
+
+def _street(folder: Path, *, quick: bool) -> list[Figure]:
+    # Twelve sweeps of a road, without given poses: without any, and with motions given that are a percent too long.
+    files = sorted(folder.glob("*.pcd"))
+    if not files:
+        return []
+    scans = [Scan(stamp_ns=i * 100_000_000, frame="lidar", points=_points_of(file)) for i, file in enumerate(files)]
+    poses = _swept(scans, "small_gicp")
+    steps = np.array([compose(invert(a), b) for a, b in pairwise(poses)])
+    figures = [
+        figure("street_registered_fraction", len(poses) / len(scans)),
+        figure("street_step_change_m", np.abs(np.diff(np.linalg.norm(steps[:, :3, 3], axis=1))).max(), "m", "lower"),
+    ]
+    if quick or len(poses) < len(scans):
+        return figures
+    drift = np.array([from_rotation_translation(step[:3, :3], 1.01 * step[:3, 3]) for step in steps])
+    for name, other in (("kiss_icp", _swept(scans, "kiss-icp")), ("led", _swept(scans, "small_gicp", drift))):
+        apart_m = float(np.linalg.norm(other[-1][:3, 3] - poses[-1][:3, 3]))
+        of = f"ends apart, after {np.linalg.norm(poses[-1][:3, 3]):.1f} m"
+        figures.append(figure(f"street_{name}_apart_m", apart_m, "m", "lower", of))
     return figures
+
+
+def _swept(
+    scans: Sequence[Scan], method: MethodName, given: NDArray[np.float64] | None = None
+) -> list[NDArray[np.float64]]:
+    odometry, steps = make_odometry("lidar", method), [None] if given is None else [None, *given]
+    found = [odometry.register(scan, step) for scan, step in zip_longest(scans, steps)]
+    return [each.start_from_sensor for each in found if isinstance(each, Registered)]
+
+
+def _points_of(file: Path) -> NDArray[np.float32]:
+    header, _, data = file.read_bytes().partition(b"DATA binary\n")
+    count = next(int(line.split()[1]) for line in header.decode().splitlines() if line.startswith("POINTS"))
+    return np.ascontiguousarray(np.frombuffer(data, np.float32, 4 * count).reshape(count, 4)[:, :3])
 
 
 def _poses(source: Source) -> Poses:
@@ -92,15 +146,20 @@ def estimated(log: Path, choice: OdometryChoice = "depth") -> dict[str, Any]:
     return {**errors, **more, "digest": sha256(np.array(list(poses.values())).tobytes()).hexdigest()}
 
 
-def _mapped(log: Path, folder: Path) -> dict[str, Any]:
-    true, config = _poses(open_source(log)), read_config(MapperConfig, None, (*CONFIG, NO_SHAPES))
-    given = folder / f"{log.name}-given"
+def _mapped(log: Path, folder: Path, how: str) -> dict[str, Any]:
+    # By the given poses, without them, or with drift put on them.
+    true, given = _poses(open_source(log)), folder / f"{log.name}-given"
     cached_map(given, lambda: open_source(log), *CONFIG, NO_SHAPES)
+    if how == "given":
+        return {**_errors(keyframe_poses(given)[1], true), **asdict(closed_loops(given, true))}
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "map"
-        play_into(out, _without_poses(log), config)
+        drift = drifting(true, 1.0, [51])
+        source = moved_to(open_source(log), drift) if how == "drift" else _without_poses(log)
+        play_into(out, source, read_config(MapperConfig, None, (*CONFIG, NO_SHAPES)))
         found = {**_errors(keyframe_poses(out)[1], true), **asdict(closed_loops(out, true))}
-        return {**found, **agreement(given, out)}
+        before = {"before_m": _errors(drift, true)["ate_m"]} if how == "drift" else {}
+        return {**found, **before, **agreement(given, out)}
 
 
 # Objects lie on one another in cells of this size: the poses err by less.
