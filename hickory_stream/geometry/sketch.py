@@ -42,12 +42,13 @@ def sketch(points_world: NDArray[Any], box: OrientedBox) -> Superquadrics | None
     It has the least product of mean radial distance to the points and cube root of its volume, as in Solina and Bajcsy
     (1990). Semi-axes are at least the box's smallest half extent; None for fewer than 20 finite points in the box.
     """
-    points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    points = points[box.contains(points, 1e-6)]
-    if len(points) < _MIN_POINTS:
+    points = np.asarray(points_world).reshape(-1, 3)
+    # What is not finite is in no box.
+    inside = np.flatnonzero(box.contains(points, 1e-6))
+    if len(inside) < _MIN_POINTS:
         return None
-    points = points[np.linspace(0, len(points) - 1, min(len(points), _MAX_POINTS)).astype(np.int64)]
+    some = np.linspace(0, len(inside) - 1, min(len(inside), _MAX_POINTS)).astype(np.int64)
+    points = points[inside[some]].astype(np.float64)
     thinnest = float(box.half_extents_m.min())
     upright = _best(points, box.world_from_box[:3, :3], box.center, box.half_extents_m)
     axes = _principal_axes(points)

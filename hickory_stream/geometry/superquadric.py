@@ -252,9 +252,15 @@ def _canonical_one(
 
 
 def _closest_to_identity(candidates: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    signed = [c * np.array(signs) for c in candidates for signs in product((1.0, -1.0), repeat=3)]
-    proper = [c for c in signed if portable.det3(c) > 0]
-    return max(proper, key=lambda c: (round(float(np.trace(c)), 9), *np.round(c, 9).ravel()))
+    handed = [(c, portable.det3(c)) for c in candidates]
+    proper = [c * signs for c, det in handed for signs in _SIGNS if det * (signs[0] * signs[1] * signs[2]) > 0]
+    traces = [round(float(c.trace()), 9) for c in proper]
+    most = max(traces)
+    first = [c for c, trace in zip(proper, traces, strict=True) if trace == most]
+    return first[0] if len(first) == 1 else max(first, key=lambda c: tuple(np.round(c, 9).ravel()))
+
+
+_SIGNS = tuple(np.array(signs) for signs in product((1.0, -1.0), repeat=3))
 
 
 def _dual_gap(exponent: float, dual: float) -> float:

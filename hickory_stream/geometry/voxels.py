@@ -27,7 +27,7 @@ def keys_of_cells(cells: NDArray[Any]) -> NDArray[np.int64]:
 
 def cells_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the (N, 3) integer cells of (N,) keys."""
-    return np.stack([(keys >> (2 * _BITS)) & _MASK, (keys >> _BITS) & _MASK, keys & _MASK], axis=1) - _OFFSET
+    return np.asarray(_cells_of_keys(read_only(keys)))
 
 
 def layers_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -117,12 +117,27 @@ def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @kernel
+def row_of_key(key):
+    """Return the second coordinate of the cell of a key."""
+    return ((key >> _BITS) & _MASK) - _OFFSET
+
+
+@kernel
 def key_of_point(x, y, z, voxel_m):
     """Return the key of the voxel that holds a finite point."""
     i = np.int64(np.floor(np.float64(x) / voxel_m)) + _OFFSET
     j = np.int64(np.floor(np.float64(y) / voxel_m)) + _OFFSET
     k = np.int64(np.floor(np.float64(z) / voxel_m)) + _OFFSET
     return (i << (2 * _BITS)) | (j << _BITS) | k
+
+
+@kernel
+def _cells_of_keys(keys):
+    out = np.empty((len(keys), 3), dtype=np.int64)
+    for i in range(len(keys)):
+        out[i, 0] = ((keys[i] >> (2 * _BITS)) & _MASK) - _OFFSET
+        out[i, 1], out[i, 2] = ((keys[i] >> _BITS) & _MASK) - _OFFSET, (keys[i] & _MASK) - _OFFSET
+    return out
 
 
 @kernel

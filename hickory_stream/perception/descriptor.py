@@ -117,7 +117,6 @@ class ColorTextureDescriptor:
 def mask_feature(observation: Observation, features: NDArray[np.float32], patch_px: int) -> MaskFeature:
     """Return the pooled feature of a mask and the variance of its patches, weighted by their shares of mask."""
     # sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1.
-    # sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1.
     from hickory_stream.records import MaskFeature
 
     x0, y0, _, _ = observation.box_px

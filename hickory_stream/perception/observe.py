@@ -174,8 +174,10 @@ def _drawn(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.boo
     unseen = rim & (cv2.dilate((frame.depth_m[around] > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
     if not unseen.any():
         return 1.0
-    lab = lab_of(frame.rgb[around]) * LAB_WEIGHTS
-    side = (4 * _RIM_PX + 1, 4 * _RIM_PX + 1)
+    side, rows, columns = (4 * _RIM_PX + 1, 4 * _RIM_PX + 1), unseen.any(axis=1), unseen.any(axis=0)
+    # Within the windows around these pixels.
+    y, x = (slice(max(0, own.argmax() - side[0]), len(own) - own[::-1].argmax() + side[0]) for own in (rows, columns))
+    inside, unseen, lab = inside[y, x].copy(), unseen[y, x], lab_of(frame.rgb[around][y, x]) * LAB_WEIGHTS
     weights = cv2.blur(inside.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
     means = cv2.blur(cv2.copyTo(lab, inside), side, borderType=cv2.BORDER_CONSTANT)
     beside = cv2.blur(lab, (3, 3))

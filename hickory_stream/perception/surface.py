@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.arrays import read_only
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.records import Frame
@@ -64,8 +65,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         cx=(frame.camera.cx + 0.5) / factor - 0.5,
         cy=(frame.camera.cy + 0.5) / factor - 0.5,
     )
-    depth = _reduce_depth(frame.depth_m, factor, height, width, config.min_depth_m)
-    depth = _without_flying_pixels(depth)
+    depth = _without_flying_pixels(_reduce_depth(frame.depth_m, factor, height, width, config.min_depth_m))
     rgb = frame.rgb[: height * factor, : width * factor]
     if factor > 1:
         rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
@@ -104,20 +104,36 @@ def _reduce_depth(
     depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float
 ) -> NDArray[np.float32]:
     # The lower median of valid depths of a block is a measured depth, and thin objects survive.
-    depth = depth[: height * factor, : width * factor]
-    depth = np.where(depth >= np.float64(nearest_m), depth, np.float32(np.inf))
-    ranked = [depth[i // factor :: factor, i % factor :: factor] for i in range(factor * factor)]
-    for i, j in _sorting_network(len(ranked)):
-        ranked[i], ranked[j] = np.minimum(ranked[i], ranked[j]), np.maximum(ranked[i], ranked[j])
-    out = ranked[0]
-    for i in range(1, (len(ranked) + 1) // 2):
-        out = np.where(np.isfinite(ranked[2 * i]), ranked[i], out)
-    out[np.isinf(out)] = np.nan
+    out = np.empty((height, width), np.float32)
+    _reduce(read_only(depth), factor, float(nearest_m), _sorting_network(factor * factor), out)
     return out
 
 
+@kernel
+def _reduce(depth, factor, nearest_m, pairs, out):
+    # `pairs` (N, 2) in turn put the depths of a block in order; loops over a row are vectorised.
+    width, count = out.shape[1], factor * factor
+    ranked = np.empty((count, width), np.float32)
+    for y in range(len(out)):
+        for i in range(count):
+            row = depth[y * factor + i // factor]
+            for x in range(width):
+                value = row[x * factor + i % factor]
+                ranked[i, x] = value if np.float64(value) >= nearest_m else np.float32(np.inf)
+        for pair in pairs:
+            low, high = ranked[pair[0]], ranked[pair[1]]
+            for x in range(width):
+                a, b = low[x], high[x]
+                low[x], high[x] = min(a, b), max(a, b)
+        for i in range((count + 1) // 2):
+            chosen, full = ranked[i], ranked[2 * i]
+            for x in range(width):
+                if i == 0 or full[x] < np.float32(np.inf):
+                    out[y, x] = chosen[x] if chosen[x] < np.float32(np.inf) else np.float32(np.nan)
+
+
 @cache
-def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
+def _sorting_network(count: int) -> NDArray[np.int64]:
     # The pairs to put in order, one after the other, which sorts so many values (Batcher 1968).
     pairs = list[tuple[int, int]]()
     spans = [1 << i for i in range((count - 1).bit_length())]
@@ -126,23 +142,36 @@ def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
             for first in range(apart % span, count - apart, 2 * apart):
                 steps = range(first, min(first + apart, count - apart))
                 pairs += [(i, i + apart) for i in steps if i // (2 * span) == (i + apart) // (2 * span)]
-    return tuple(pairs)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _without_flying_pixels(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     # Flying pixels, between two surfaces, have fewer than three of their eight neighbours within 4 % of their depth. A
     # pixel without a nearer neighbour may be a thin object and needs two.
-    height, width = depth.shape
-    padded, gate = np.pad(depth, 1, constant_values=np.nan), np.float64(0.04) * depth
-    agreeing, has_nearer = np.zeros(depth.shape, dtype=np.int8), np.zeros(depth.shape, dtype=bool)
-    for y, x in np.ndindex(3, 3):
-        other = padded[y : y + height, x : x + width]
-        agrees = np.abs(other - depth) < gate
-        agreeing += agrees
-        has_nearer |= (other < depth) & ~agrees
-    # The pixel itself is counted, too.
-    is_flying = (agreeing < 4) & (has_nearer | (agreeing < 3))
-    return np.where(is_flying, np.float32(np.nan), depth)
+    return np.asarray(_without_flying(np.pad(depth, 1, constant_values=np.nan)))
+
+
+@kernel
+def _without_flying(padded):
+    height, width = padded.shape[0] - 2, padded.shape[1] - 2
+    out = np.empty((height, width), np.float32)
+    agreeing, has_nearer = np.empty(width, np.int8), np.empty(width, np.bool_)
+    for y in range(height):
+        own = padded[y + 1, 1 : 1 + width]
+        agreeing[:] = 0
+        has_nearer[:] = False
+        for side in range(9):
+            first = side % 3
+            other = padded[y + side // 3, first : first + width]
+            for x in range(width):
+                agrees = np.float64(abs(other[x] - own[x])) < 0.04 * np.float64(own[x])
+                agreeing[x] += np.int8(agrees)
+                has_nearer[x] |= (other[x] < own[x]) & ~agrees
+        for x in range(width):
+            # The pixel itself is counted, too.
+            is_flying = (agreeing[x] < 4) & (has_nearer[x] | (agreeing[x] < 3))
+            out[y, x] = np.float32(np.nan) if is_flying else own[x]
+    return out
 
 
 def _normals(
@@ -154,71 +183,106 @@ def _normals(
     height, width = depth.shape
     # Pixels without a return, or beyond the image, get an inverse depth outside of every gate.
     inverses = np.full((height + 2 * radius, width + 2 * radius), np.float32(-1e6))
-    own = inverses[radius : radius + height, radius : radius + width]
-    planes, sums = np.zeros((height, 3, width), np.float32), np.empty((height, 9, width), np.float32)
-    has_plane, is_solved = np.empty((2, height, width), bool)
-    steps = [np.diff(side[:2]).sum() for side in (u, v)]  # 0 of a single pixel
-    with np.errstate(divide="ignore", invalid="ignore"):
-        np.divide(np.float32(1), depth, out=own, where=~np.isnan(depth))
-        _sum_windows(inverses, planes, np.float32(0.03) * own, sums, radius, *steps)
-        _solve_planes(sums, planes, has_plane)
-        gates = np.float32(3) * noise + np.float32(0.003) * own
-        _sum_windows(inverses, planes, gates, sums, radius, *steps)
-        _solve_planes(sums, planes, is_solved)
-        # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
-        a, b, c = planes.swapaxes(0, 1)
-        c = own + c - a * u - b * v[:, None]
-        length = np.sqrt(a * a + b * b + c * c)
-        has_normal = has_plane & (own >= 0) & (length > 0)
-        length = np.where(has_normal, -length, np.float32(np.nan))
-        return np.stack([a / length, b / length, c / length], axis=2)
-
-
-@kernel
-def _sum_windows(inverses, planes, gates, sums, radius, step_u, step_v):
-    # n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gates. The sums of a row are accumulated offset by
-    # offset, vectorised.
-    height, width = gates.shape
-    one, none = np.float32(1.0), np.float32(0.0)
-    for y in range(height):
-        own, plane, gate, total = inverses[y + radius, radius : radius + width], planes[y], gates[y], sums[y]
-        total[:] = none
-        for dy in range(-radius, radius + 1):
-            dv = np.float32(dy) * step_v
-            for dx in range(-radius, radius + 1):
-                du = np.float32(dx) * step_u
-                row = inverses[y + radius + dy, radius + dx : radius + dx + width]
-                uu, uv, vv = du * du, du * dv, dv * dv
-                for x in range(width):
-                    d = row[x] - own[x]
-                    off = abs(d - (plane[2, x] + plane[0, x] * du + plane[1, x] * dv))
-                    is_in = off <= gate[x]
-                    total[0, x] += one if is_in else none
-                    total[1, x] += du if is_in else none
-                    total[2, x] += dv if is_in else none
-                    total[3, x] += d if is_in else none
-                    total[4, x] += uu if is_in else none
-                    total[5, x] += uv if is_in else none
-                    total[6, x] += vv if is_in else none
-                    total[7, x] += d * du if is_in else none
-                    total[8, x] += d * dv if is_in else none
+    np.divide(np.float32(1), depth, out=inverses[radius : radius + height, radius : radius + width], where=depth > 0)
+    step_u, step_v = (np.diff(side[:2]).sum() for side in (u, v))  # 0 of a single pixel
+    return np.asarray(_fitted(inverses, u, v, radius, step_u, step_v, noise))
 
 
 @kernel(error_model="numpy")
-def _solve_planes(sums, planes, has_plane):
+def _fitted(inverses, u, v, radius, step_u, step_v, noise):
+    # Row by row and run by run of returns: half of a frame outdoors has none.
+    height, width = len(v), len(u)
+    out = np.full((height, width, 3), np.float32(np.nan), np.float32)
+    room, has_plane, is_solved = np.empty(13 * width, np.float32), np.empty(width, np.bool_), np.empty(width, np.bool_)
+    for y in range(height):
+        stop = 0
+        while True:
+            start, stop = _next_run(inverses[y + radius, radius : radius + width], stop)
+            if start == stop:
+                break
+            # Contiguous, so that loops over a run are vectorised.
+            count = stop - start
+            sums, plane = room[: 9 * count].reshape(9, count), room[9 * count : 12 * count].reshape(3, count)
+            own, gate = inverses[y + radius, radius + start : radius + stop], room[12 * count : 13 * count]
+            plane[:] = np.float32(0.0)
+            for x in range(count):
+                gate[x] = np.float32(0.03) * own[x]
+            _sum_windows(inverses, y, start, plane, gate, sums, radius, step_u, step_v)
+            _solve_planes(sums, plane, has_plane)
+            for x in range(count):
+                gate[x] = np.float32(3.0) * noise + np.float32(0.003) * own[x]
+            _sum_windows(inverses, y, start, plane, gate, sums, radius, step_u, step_v)
+            _solve_planes(sums, plane, is_solved)
+            _face(own, plane, has_plane, u[start:stop], v[y], out[y, start:stop])
+    return out
+
+
+@kernel
+def _next_run(own, start):
+    # The next columns with returns, from `start` on: gaps of less than a vector are part of a run.
+    while start < len(own) and own[start] < np.float32(0.0):
+        start += 1
+    stop = last = start
+    while last < len(own) and last - stop < 32:
+        last += 1
+        if own[last - 1] >= np.float32(0.0):
+            stop = last
+    return start, stop
+
+
+@kernel(error_model="numpy")
+def _face(own, plane, has_plane, u, v, out):
+    # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
+    for x in range(len(own)):
+        a, b = plane[0, x], plane[1, x]
+        c = own[x] + plane[2, x] - a * u[x] - b * v
+        length = np.sqrt(a * a + b * b + c * c)
+        if has_plane[x] and own[x] >= np.float32(0.0) and length > np.float32(0.0):
+            out[x, 0], out[x, 1], out[x, 2] = a / -length, b / -length, c / -length
+
+
+@kernel
+def _sum_windows(inverses, y, start, plane, gate, total, radius, step_u, step_v):
+    # n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gates. The sums of a run are accumulated offset by
+    # offset, vectorised.
+    one, none = np.float32(1.0), np.float32(0.0)
+    first, count = radius + start, len(gate)
+    own = inverses[y + radius, first : first + count]
+    total[:] = none
+    for dy in range(-radius, radius + 1):
+        dv = np.float32(dy) * step_v
+        for dx in range(-radius, radius + 1):
+            du = np.float32(dx) * step_u
+            row = inverses[y + radius + dy, first + dx : first + dx + count]
+            uu, uv, vv = du * du, du * dv, dv * dv
+            for x in range(count):
+                d = row[x] - own[x]
+                off = abs(d - (plane[2, x] + plane[0, x] * du + plane[1, x] * dv))
+                is_in = off <= gate[x]
+                total[0, x] += one if is_in else none
+                total[1, x] += du if is_in else none
+                total[2, x] += dv if is_in else none
+                total[3, x] += d if is_in else none
+                total[4, x] += uu if is_in else none
+                total[5, x] += uv if is_in else none
+                total[6, x] += vv if is_in else none
+                total[7, x] += d * du if is_in else none
+                total[8, x] += d * dv if is_in else none
+
+
+@kernel(error_model="numpy")
+def _solve_planes(sums, plane, has_plane):
     # Without branches: vectorised. Without a solution the plane stays as it is.
-    for y in range(len(sums)):
-        own, plane = sums[y], planes[y]
-        for x in range(own.shape[1]):
-            n, su, sv, sd = own[0, x], own[1, x], own[2, x], own[3, x]
-            cuu, cuv, cvv = own[4, x] - su * su / n, own[5, x] - su * sv / n, own[6, x] - sv * sv / n
-            cud, cvd = own[7, x] - su * sd / n, own[8, x] - sv * sd / n
-            determinant = cuu * cvv - cuv * cuv
-            is_solved = (n >= np.float32(6.0)) & (determinant >= np.float32(1e-3) * ((cuu + cvv) * (cuu + cvv)))
-            a = (cud * cvv - cvd * cuv) / determinant
-            b = (cvd * cuu - cud * cuv) / determinant
-            c = (sd - a * su - b * sv) / n
-            has_plane[y, x] = is_solved
-            plane[0, x] = a if is_solved else plane[0, x]
-            plane[1, x] = b if is_solved else plane[1, x]
-            plane[2, x] = c if is_solved else plane[2, x]
+    for x in range(sums.shape[1]):
+        n, su, sv, sd = sums[0, x], sums[1, x], sums[2, x], sums[3, x]
+        cuu, cuv, cvv = sums[4, x] - su * su / n, sums[5, x] - su * sv / n, sums[6, x] - sv * sv / n
+        cud, cvd = sums[7, x] - su * sd / n, sums[8, x] - sv * sd / n
+        determinant = cuu * cvv - cuv * cuv
+        is_solved = (n >= np.float32(6.0)) & (determinant >= np.float32(1e-3) * ((cuu + cvv) * (cuu + cvv)))
+        a = (cud * cvv - cvd * cuv) / determinant
+        b = (cvd * cuu - cud * cuv) / determinant
+        c = (sd - a * su - b * sv) / n
+        has_plane[x] = is_solved
+        plane[0, x] = a if is_solved else plane[0, x]
+        plane[1, x] = b if is_solved else plane[1, x]
+        plane[2, x] = c if is_solved else plane[2, x]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 import numpy as np
 import pytest
+from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.config import MapperConfig
 from hickory_stream.events import FeaturesReady, SourceEnded
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -10,6 +11,7 @@ from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import features_of, perceive
+from hickory_stream.records import Phase
 from tests.perception.perception_scenes import Block, best_iou, floor, looking, render
 from tools.evaluation.masks.first_layer import answered
 
@@ -17,6 +19,8 @@ CONFIG = MapperConfig()
 SEGMENTER, EXTRACTOR = make_segmenter(CONFIG.perception), ColorTextureDescriptor()
 BOX = Block(low=(0.2, -0.4, 0.0), high=(0.7, 0.2, 0.45), color=(180, 60, 50))
 PAVEMENT = Block(low=(1.0, -20.0, -1.0), high=(20.0, 20.0, 0.12), color=(130, 125, 120))
+HOUSE = Block(low=(1.6, -9.0, 0.0), high=(1.8, 9.0, 3.0), color=(205, 195, 180))
+KIOSK = Block(low=(0.8, 1.5, 0.0), high=(1.4, 2.1, 0.9), color=(200, 190, 60))
 STAIRS = [
     Block(low=(0.2 + 0.3 * i, -1.5, 0.0), high=(9.0, 1.5, 0.17 * (i + 1)), color=(140, 135, 130)) for i in range(8)
 ]
@@ -59,9 +63,9 @@ def on_ramp(frame, degrees):
     return replace(frame, world_from_camera=tilt @ frame.world_from_camera)
 
 
-def mapped(frames):
-    """The confirmed objects after keyframes of half a second each."""
-    core = MapperCore(CONFIG.mapping)
+def maps_of(frames):
+    """The maps after keyframes of half a second each, and the finished one."""
+    core, maps = MapperCore(CONFIG.mapping), []
     for i, frame in enumerate(frames):
         frame = replace(frame, index=i, stamp_ns=i * 500_000_000)
         seen = perceive(frame, core.prior(), None, SEGMENTER, CONFIG.perception, lattice=CONFIG.mapping.voxels)
@@ -70,8 +74,32 @@ def mapped(frames):
             found, _ = features_of(frame, seen.observations, effect.observation_indices, EXTRACTOR)
             return FeaturesReady(frame_index=effect.frame_index, features=found)
 
-        answered(core, seen.event(frame), frame.stamp_ns, features)
-    return answered(core, SourceEnded(stamp_ns=frame.stamp_ns), frame.stamp_ns, None).snapshot.objects
+        maps.append(answered(core, seen.event(frame), frame.stamp_ns, features).snapshot)
+    return [*maps, answered(core, SourceEnded(stamp_ns=frame.stamp_ns), frame.stamp_ns, None).snapshot]
+
+
+def objects_in(snapshot):
+    return [item for item in snapshot.objects if item.phase is not Phase.TENTATIVE]
+
+
+def car_at(y):
+    """A car that stands along y, with two wheels towards the camera."""
+    body = Block(low=(-1.0, y - 1.6, 0.2), high=(0.4, y + 1.6, 0.75), color=(60, 80, 170))
+    cabin = Block(low=(-0.9, y - 0.9, 0.75), high=(0.3, y + 1.1, 1.3), color=(60, 80, 170))
+    at = (y - 1.3, y + 0.7)
+    return [body, cabin, *(Block(low=(-1.0, v, 0.0), high=(-0.8, v + 0.6, 0.4), color=(30, 30, 30)) for v in at)]
+
+
+def person_at(y):
+    return [Block(low=(-0.6, y - 0.2, 0.0), high=(-0.3, y + 0.2, 1.6), color=(60, 80, 170))]
+
+
+def on_the_road(*things_of_frames):
+    """Frames across a road, by a camera that sways; each shows a house, a kiosk and some things."""
+    return [
+        view(HOUSE, KIOSK, *things, at=(0.0, 0.0, 0.5), start=(-3.0, 0.05 * (i % 6) - 0.1, 1.5))[0]
+        for i, things in enumerate(things_of_frames)
+    ]
 
 
 def masks_of(frame):
@@ -112,6 +140,39 @@ def test_a_frame_without_returns_has_no_floor_and_no_masks():
 def test_a_camera_carried_up_a_kerb_sees_one_thing():
     steps = [(x, 0.12 if x > 1.0 else 0.0) for x in np.arange(-2.4, 1.4, 0.3)]
     frames = [view(BOX, PAVEMENT, at=(x + 2.5, 0.0, z + 0.2), start=(x, -0.9, z + 1.3))[0] for x, z in steps]
-    things = mapped(frames)
+    things = objects_in(maps_of(frames)[-1])
     assert len(things) == 1
     assert things[0].box.center[:2] == pytest.approx((0.45, -0.1), abs=0.15)
+
+
+def is_kiosk(item):
+    return bool(item.box.center[1] > 1.6)
+
+
+def test_a_parked_car_that_leaves_is_gone_and_the_rest_stays():
+    maps = maps_of(on_the_road(*[car_at(0.0)] * 8, *[[]] * 8))
+    car = {item.id for item in objects_in(maps[7]) if not is_kiosk(item)}
+    gone = {one.object_id for one in changes_within_run(maps[7], maps[-1]) if one.kind == "gone"}
+    assert car
+    assert gone == car
+    assert sum(map(is_kiosk, objects_in(maps[-1]))) == 1
+
+
+@pytest.mark.parametrize("passer", [car_at, person_at])
+def test_what_passes_leaves_no_object(passer):
+    passing = [passer(y) for y in np.arange(-4.0, 4.0, 0.9)]
+    (left,) = objects_in(maps_of(on_the_road(*[[]] * 4, *passing, *[[]] * 5))[-1])
+    assert is_kiosk(left)
+
+
+def test_a_bush_with_leaves_that_move_is_one_thing_of_its_size():
+    rng = np.random.default_rng(3)
+    places = rng.uniform((-0.35, -0.35, 0.08), (0.35, 0.35, 0.75), (40, 3))
+
+    def bush():
+        moved = places + rng.normal(0.0, 0.02, places.shape)
+        return [Block(low=tuple(p - 0.08), high=tuple(p + 0.08), color=(50, 110, 50)) for p in moved]
+
+    maps = maps_of(on_the_road(*(bush() for _ in range(7))))
+    (found,) = (item for item in objects_in(maps[-1]) if not is_kiosk(item))
+    assert found.box.half_extents_m == pytest.approx((0.42, 0.42, 0.4), abs=0.15)

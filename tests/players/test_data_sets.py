@@ -2,10 +2,14 @@ import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from hickory_stream.records import Phase
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
 from players.profile import load_profile, profile_names
+from tools.evaluation.masks.first_layer import play_first_layer
+from tools.worlds.drift import DriftConfig
 from tools.worlds.layouts import layout_files
+from tools.worlds.outdoor.walk import outdoors
 from tools.worlds.recording_config import RecordingConfig
 
 pytestmark = pytest.mark.timeout(90)
@@ -113,3 +117,28 @@ def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(recorded, tmp_pa
     assert len(frames) == len(truth.frames)
     for raw, true in zip(frames, truth.frames, strict=True):
         np.testing.assert_allclose(raw.world_from_camera, true.world_from_camera, atol=1e-6)
+
+
+def street_map(folder, layout, rate_hz, drift=None):
+    """Layer 1 of three seconds of a street: (centre, sightings) of its objects, and the walked distance."""
+    config = RecordingConfig(
+        scene="outdoor", seed=4, layout=layout, seconds=3.0, rate_hz=rate_hz, width=160, height=120, drift=drift
+    )
+    truth = make_recording(outdoors(config), folder, layout)
+    files = [folder / file for file in layout_files(layout, layout)]
+    *_, last = play_first_layer(files)
+    objects = [item for item in last.snapshot.objects if item.phase is not Phase.TENTATIVE]
+    ends = [truth.frames[i].world_from_camera[:3, 3] for i in (0, -1)]
+    return [(item.box.center, item.sightings) for item in objects], float(np.linalg.norm(ends[1] - ends[0]))
+
+
+def test_a_street_as_a_jackal_records_it_has_the_same_objects(tmp_path):
+    # 15 Hz, depth beside colour, late bags, frames of another robot, odometry at 5 Hz with a drift of 1 %.
+    plain, _ = street_map(tmp_path, "zed", 5.0)
+    jackal, walked_m = street_map(tmp_path, "kimera_multi", 15.0, DriftConfig())
+    often = [center for center, sightings in plain if sightings >= 5]
+    away_m = [min(np.linalg.norm(other - center) for other, _ in jackal) for center in often]
+    assert len(often) >= 6
+    # Two sigmas of drift, and what noise and fewer views change in the middle of a box.
+    assert max(away_m) < 0.02 * walked_m + 0.3
+    assert len(jackal) <= len(plain)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.geometry.arrays import check_array
+from hickory_stream.geometry.arrays import check_array, read_only
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
 from hickory_stream.geometry.voxels import (
@@ -24,6 +24,7 @@ from hickory_stream.geometry.voxels import (
     first_not_below,
     keys_of_cells,
     keys_of_points,
+    row_of_key,
     rows_of_keys,
     sorted_unique,
     union,
@@ -87,8 +88,17 @@ class Window:
     def part_of(self, keys: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the indices of the sorted keys within the window."""
         columns = _columns_between(keys, self.low[0], self.high[0])
-        y = rows_of_keys(keys[columns])
-        return columns.start + np.flatnonzero((y >= self.low[1]) & (y < self.high[1]))
+        return np.asarray(_rows_between(read_only(keys), columns.start, columns.stop, self.low[1], self.high[1]))
+
+
+@kernel
+def _rows_between(keys, start, stop, low, high):
+    out, count = np.empty(stop - start, dtype=np.int64), 0
+    for i in range(start, stop):
+        if low <= row_of_key(keys[i]) < high:
+            out[count] = i
+            count += 1
+    return out[:count]
 
 
 def window_of(*sorted_keys: NDArray[np.int64]) -> Window | None:

@@ -12,13 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.arrays import read_only
 from hickory_stream.geometry.voxels import (
     cells_of_keys,
     contains,
     contains_near,
     difference,
+    first_not_below,
+    key_of_point,
     keys_of_cells,
     keys_of_points,
     places,
@@ -158,14 +161,37 @@ def _held(
 def _found_around(track: Track, voxels: NDArray[np.int64], voxel_m: float, axis: int) -> NDArray[np.bool_]:
     # (R, D) which places around the box, R across an axis and D along it, are in some sorted voxels.
     half = track.box.half_extents_m + 1.5 * voxel_m
-    lines = [np.linspace(-size, size, int(2 * size / voxel_m) + 2) for size in half]
-    across = [i for i in range(3) if i != axis]
-    grid = np.stack(np.meshgrid(lines[across[0]], lines[across[1]], indexing="ij"), axis=-1)
-    ring = grid[(np.abs(grid) >= half[across]).any(axis=-1)]
-    around = np.empty((len(ring), len(lines[axis]), 3))
-    around[..., across], around[..., axis] = ring[:, None], lines[axis]
-    there = apply(track.box.world_from_box, around.reshape(-1, 3))
-    return contains(voxels, keys_of_points(there, voxel_m)).reshape(around.shape[:2])
+    return np.asarray(_around(read_only(voxels), half, read_only(track.box.world_from_box), axis, voxel_m))
+
+
+@kernel
+def _around(voxels, half, pose, axis, voxel_m):
+    along, first, second = half[axis], 1 if axis == 0 else 0, 1 if axis == 2 else 2
+    num_first, num_second = np.int64(2 * half[first] / voxel_m) + 2, np.int64(2 * half[second] / voxel_m) + 2
+    count = np.int64(2 * along / voxel_m) + 2
+    out = np.empty((2 * (num_first + num_second) - 4, count), np.bool_)
+    place, n, at = np.empty(3), 0, np.int64(0)
+    for i in range(num_first):
+        for j in range(num_second):
+            if 0 < i < num_first - 1 and 0 < j < num_second - 1:
+                continue
+            place[first], place[second] = _on_line(half[first], i, num_first), _on_line(half[second], j, num_second)
+            for k in range(count):
+                place[axis] = _on_line(along, k, count)
+                x = place[0] * pose[0, 0] + place[1] * pose[0, 1] + place[2] * pose[0, 2] + pose[0, 3]
+                y = place[0] * pose[1, 0] + place[1] * pose[1, 1] + place[2] * pose[1, 2] + pose[1, 3]
+                z = place[0] * pose[2, 0] + place[1] * pose[2, 1] + place[2] * pose[2, 2] + pose[2, 3]
+                key = key_of_point(x, y, z, voxel_m)
+                at = first_not_below(voxels, key, at)
+                out[n, k] = at < len(voxels) and voxels[at] == key
+            n += 1
+    return out
+
+
+@kernel
+def _on_line(half, i, count):
+    # Place i of so many evenly from -half to half.
+    return half if i == count - 1 else i * (2 * half / (count - 1)) - half
 
 
 def _logistic(odds: float) -> float:

@@ -98,12 +98,21 @@ def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
     """Return (h, w) the surface area of each pixel; 0 without depth, bounded at grazing angles."""
-    rays = (surface.points_world - surface.world_from_camera[:3, 3].astype(np.float32)).reshape(-1, 3).T
-    nx, ny, nz = surface.normals_world.reshape(-1, 3).T
-    across, squares = np.abs(rays[0] * nx + rays[1] * ny + rays[2] * nz), rays * rays
-    cosine = (across / np.sqrt(squares[0] + squares[1] + squares[2])).reshape(surface.depth_m.shape)
-    per_pixel = surface.depth_m * surface.depth_m / np.float32(surface.camera.fx * surface.camera.fy)
-    return np.where(np.isnan(cosine), np.float32(0), per_pixel / np.maximum(cosine, np.float32(0.15)))
+    eye, focal2 = surface.world_from_camera[:3, 3].astype(np.float32), np.float32(surface.camera.fx * surface.camera.fy)
+    return np.asarray(_pixel_areas(surface.depth_m, surface.points_world, surface.normals_world, eye, focal2))
+
+
+@kernel(error_model="numpy")
+def _pixel_areas(depth, points, normals, eye, focal2):
+    out = np.zeros(depth.shape, np.float32)
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            z, px, py, pz = depth[y, x], points[y, x, 0] - eye[0], points[y, x, 1] - eye[1], points[y, x, 2] - eye[2]
+            across = abs(px * normals[y, x, 0] + py * normals[y, x, 1] + pz * normals[y, x, 2])
+            cosine = across / np.sqrt(px * px + py * py + pz * pz)
+            if not np.isnan(cosine):
+                out[y, x] = z * z / focal2 / max(cosine, np.float32(0.15))
+    return out
 
 
 def horizontal_planes(surface: Surface, areas_m2: NDArray[np.float32], *, min_area_m2: float) -> list[HorizontalPlane]:

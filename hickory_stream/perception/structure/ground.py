@@ -112,36 +112,36 @@ def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float) ->
     size = tuple(int(n) for n in np.floor((bounds[1] - low) / cell) + 1)
     # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
     eye = surface.world_from_camera[:3, 3].astype(np.float32)
-    z, slack, share = _lowest(points, surface.sigma_m.ravel()[own], known.ravel()[own], eye, low, (size[0], size[1]))
+    sigma, is_known = surface.sigma_m.ravel()[own], known.ravel()[own]
+    z, slack, share = _lowest(points, sigma, is_known, eye, low, size[0], size[1], cell)
     return _Grid(z, slack, share, low)
 
 
-def _lowest(
-    points: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-    known: NDArray[np.bool_],
-    eye: NDArray[np.float32],
-    low: NDArray[np.float32],
-    size: tuple[int, int],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+@kernel
+def _lowest(points, sigma, known, eye, low, size_x, size_y, cell_m):
     # The mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share.
-    rays = np.ascontiguousarray((points - eye).T)
-    places = (np.ascontiguousarray((points[:, :2] - low).T) / np.float32(_CELL_M)).astype(np.int64)
-    cell = np.clip(places[0], 0, size[0] - 1) * size[1] + np.clip(places[1], 0, size[1] - 1)
-    noise = sigma * np.abs(rays[2]) / np.sqrt(rays[0] * rays[0] + rays[1] * rays[1] + rays[2] * rays[2])
-    heights, least = np.ascontiguousarray(points[:, 2]), np.full(size[0] * size[1], np.float32(np.inf))
-    np.minimum.at(least, cell, heights + noise)
-    of_layer = np.flatnonzero(heights < least[cell] + np.float32(0.04) + noise)
-    count = np.bincount(cell[of_layer], minlength=len(least))
-    has = count >= _LEAST_PX
-    sums = (np.bincount(cell[of_layer], own[of_layer], len(least)) for own in (heights, noise, known))
-    z, slack, share = ((total / np.where(has, count, 1)).astype(np.float32).reshape(size) for total in sums)
-    has = has.reshape(size)
-    return (
-        np.where(has, z, np.float32(np.nan)),
-        np.where(has, slack, np.float32(0)),
-        np.where(has, share, np.float32(0)),
-    )
+    cell, noise = np.empty(len(points), np.int64), np.empty(len(points), np.float32)
+    least = np.full(size_x * size_y, np.float32(np.inf), np.float32)
+    count, sums = np.zeros(len(least), np.int64), np.zeros((3, len(least)))
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
+        noise[i] = sigma[i] * abs(z) / np.sqrt(x * x + y * y + z * z)
+        column, row = np.int64((points[i, 0] - low[0]) / cell_m), np.int64((points[i, 1] - low[1]) / cell_m)
+        cell[i] = min(max(column, 0), size_x - 1) * size_y + min(max(row, 0), size_y - 1)
+        least[cell[i]] = min(least[cell[i]], points[i, 2] + noise[i])
+    for i in range(len(points)):
+        at = cell[i]
+        if points[i, 2] < least[at] + np.float32(0.04) + noise[i]:
+            count[at] += 1
+            sums[0, at] += points[i, 2]
+            sums[1, at] += noise[i]
+            sums[2, at] += 1.0 if known[i] else 0.0
+    out = np.zeros((3, size_x, size_y), np.float32)
+    for i in range(len(least)):
+        for k in range(3):
+            none = np.nan if k == 0 else 0.0
+            out[k, i // size_y, i % size_y] = sums[k, i] / count[i] if count[i] >= _LEAST_PX else none
+    return out[0], out[1], out[2]
 
 
 def _regions(z: NDArray[np.float32], slack: NDArray[np.float32], rise: np.float32) -> NDArray[np.int32]:

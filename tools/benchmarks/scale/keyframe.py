@@ -1,5 +1,5 @@
 """The cost of a keyframe in a map of so many objects: one recorded walk, again and again, in a grid of rooms."""
-# The core gets the events of a short run room after room, each `_PITCH_M` further; journal, checkpoints and map folder
+# The core gets the events of a short run room after room, each `pitch_m` further; journal, checkpoints and map folder
 # are written, views as empty files. Shapes are those of the run. Perception only asks for its prior.
 
 import argparse
@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ _FEW, _FIRST, _LAST = 50, 3, 23
 _ONE = "save of one keyframe"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True)
 class Walk:
     """A recorded walk through one room: its keyframes with the features of their masks, and the shapes of its map."""
 
@@ -74,6 +75,16 @@ class Walk:
     @property
     def first_ns(self) -> int:
         return self.keyframes[0][0].stamp_ns
+
+    @property
+    def length_m(self) -> float:
+        eyes = np.array([event.world_from_camera[:3, 3] for event, _ in self.keyframes])
+        return float(np.linalg.norm(np.diff(eyes, axis=0), axis=1).sum())
+
+    @cached_property
+    def pitch_m(self) -> float:
+        boxes = [one.box.corners_world()[:, :2] for event, _ in self.keyframes for one in event.observations]
+        return _PITCH_M * float(np.ceil(np.ptp(np.concatenate(boxes), axis=0).max() / _PITCH_M))
 
 
 def read_walk(folder: Path) -> Walk:
@@ -99,7 +110,7 @@ def keyframes_in(walk: Walk, room: int) -> Iterator[tuple[FrameObserved, Feature
     # To and fro, so that the path from room to room is short.
     row, column = divmod(room, _ROOMS_WIDE)
     column = column if row % 2 == 0 else _ROOMS_WIDE - 1 - column
-    off = np.array([column * _PITCH_M, row * _PITCH_M, 0.0])
+    off = np.array([column, row, 0.0]) * walk.pitch_m
     there = from_rotation_translation(np.eye(3), off)
     length_ns = walk.keyframes[-1][0].stamp_ns - walk.first_ns + 300_000_000
     by_x, by_y = (int(cells) for cells in np.round(off[:2] / 0.05))
@@ -299,6 +310,21 @@ def map_rooms(walk: Walk, folder: Path, num_objects: int) -> tuple[list[Cost], f
     return costs, keyframe_ratio(walk, few, mapped.core, index + 1), map_digest(mapped.snapshot)
 
 
+def street_mb(walk_folder: Path, out: Path, *, metres: float) -> tuple[float, float]:
+    """Return the length of a walk that is mapped again and again, and the memory of the core at its end."""
+    answer = json_of("-m", __name__, walk_folder, out, "--metres", metres)
+    return answer["metres"], answer["rss_mb"]
+
+
+def map_street(walk: Walk, folder: Path, metres: float) -> dict[str, float]:
+    mapped = Mapped(walk, folder)
+    for index in range(count := int(np.ceil(metres / walk.length_m))):
+        cost = mapped.room(index)
+        print(f"{(index + 1) * walk.length_m:.0f} m: {cost.rss_mb:.0f} MB", file=sys.stderr, flush=True)
+    mapped.close()
+    return {"metres": count * walk.length_m, "rss_mb": cost.rss_mb}
+
+
 def keyframe_ratio(walk: Walk, few: MapperCore, many: MapperCore, room: int) -> float:
     """Return the processor time of the core for the keyframes of a room in one map over the time in another."""
     # Both are given the same keyframes, turn by turn, so that other load slows both. The first ones, in which the
@@ -324,8 +350,12 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("walk", type=Path, help="a map folder that was played")
     parser.add_argument("out", type=Path)
-    parser.add_argument("--objects", type=int, required=True)
+    parser.add_argument("--objects", type=int, default=1000)
+    parser.add_argument("--metres", type=float)
     options = parser.parse_args()
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+    if options.metres is not None:
+        print(dumps(map_street(read_walk(options.walk), options.out, options.metres)))
+        sys.exit()
     costs, ratio, digest = map_rooms(read_walk(options.walk), options.out, options.objects)
     print(dumps({"costs": [asdict(cost) for cost in costs], "keyframe_ratio": ratio, "digest": digest}))

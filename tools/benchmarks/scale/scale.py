@@ -19,7 +19,8 @@ from tools.benchmarks.alignment.large_pair import large_pair
 from tools.benchmarks.common.cached_runs import walk_recording
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import COARSE, DEMO, finished, folder_mb, overridden, play, play_coarsely
-from tools.benchmarks.scale.keyframe import scale_costs
+from tools.benchmarks.foreign.logs import outdoor_log
+from tools.benchmarks.scale.keyframe import scale_costs, street_mb
 from tools.benchmarks.scale.reading import reading_of
 from tools.benchmarks.scale.stage_times import BUDGET_MS, STAGE_BUDGETS_MS, stage_times
 from tools.worlds.building.building import BuildingSize
@@ -27,7 +28,7 @@ from tools.worlds.cache import cached_recording
 from tools.worlds.recording_config import RecordingConfig
 
 _QUICK_PARTS = ("keyframes", "alignment", "stages", "batch")
-_PARTS = (*_QUICK_PARTS, "building")
+_PARTS = (*_QUICK_PARTS, "street", "building")
 _WALK_FRAMES = 60
 _APARTMENTS = tuple(walk_recording("apartment", seed, rate_hz=30.0) for seed in (1001, 1002, 1003))
 _BUILDING = RecordingConfig(
@@ -40,6 +41,7 @@ _BUILDING = RecordingConfig(
     height=480,
     seconds=1200.0,
 )
+_STREET_M = 1000.0
 _BATCH_SECONDS, _BATCH_LOGS, _QUICK_BATCH_LOGS = 10.0, 8, 4
 
 
@@ -58,6 +60,11 @@ def measure(options: Options) -> list[Figure]:
             figures += _stages(folder, quick=options.quick)
         if "batch" in parts:
             figures += _batch(folder, _QUICK_BATCH_LOGS if options.quick else _BATCH_LOGS)
+        if "street" in parts:
+            play(outdoor_log(options.seed).log, folder / "street")
+            metres, rss_mb = street_mb(folder / "street", folder / "long", metres=_STREET_M)
+            of = f"{metres:.0f} m of a street, walked again and again; no perception"
+            figures.append(figure("street_mb", rss_mb, "MB", "lower", of))
         if "building" in parts:
             figures += _building(folder)
     return figures

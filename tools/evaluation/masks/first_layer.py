@@ -1,7 +1,7 @@
 """Playback of a log through perception and the core in one thread: layer 1 as `play` makes it, without shapes."""
 # Masks are scored as they come in playback, each keyframe with the map as it is after the one before.
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +28,8 @@ class PlayedKeyframe:
     metrics: Mapping[str, float]
 
 
-def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = None) -> Iterator[Frame]:
-    source = open_source(str(log))
+def keyframes_of(log: Path | Sequence[Path], config: MapperConfig, max_keyframes: int | None = None) -> Iterator[Frame]:
+    source = open_source(log)
     try:
         last, count = None, 0
         for raw in source.frames():
@@ -45,7 +45,7 @@ def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = No
 
 
 def play_first_layer(
-    log: Path, *, config: MapperConfig | None = None, segmenter: Segmenter | None = None,
+    log: Path | Sequence[Path], *, config: MapperConfig | None = None, segmenter: Segmenter | None = None,
     extractor: FeatureExtractor | None = None, max_keyframes: int | None = None,
 ) -> Iterator[PlayedKeyframe]:  # fmt: skip
     """Yield every keyframe of a log with what perception and the core made of it; shapes are answered with failures."""
