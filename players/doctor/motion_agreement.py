@@ -156,6 +156,8 @@ class MotionSampler:
     compares_colors: bool = False
     #: Frames from one step to the next; it doubles where the log is longer than expected.
     every: int = 1
+    #: From the end of a step to the next one.
+    rest_ns: int = 0
     steps: list[CameraStep] = field(default_factory=list)
     #: Of the steps in which edges move: where depth lies on colour.
     lag_scores: list[NDArray[np.float64]] = field(default_factory=list)
@@ -165,6 +167,7 @@ class MotionSampler:
     #: the last step's second frame, with which the next step often begins
     _decoded: Frame | None = None
     _next: int = 0
+    _rests_until_ns: int = 0
     _has_ended: bool = False
 
     @property
@@ -183,7 +186,8 @@ class MotionSampler:
         self.stamps_ns.append(raw.stamp_ns)
         self.poses.append(raw.world_from_camera)
         if self._begun is None or raw.stamp_ns - self._begun.stamp_ns > _LOST_NS:
-            self._begun, self._decoded = raw if number >= self._next else None, None
+            is_next = number >= self._next and raw.stamp_ns >= self._rests_until_ns
+            self._begun, self._decoded = raw if is_next else None, None
             return
         motion = compose(invert(self._begun.world_from_camera), raw.world_from_camera)
         is_far = np.linalg.norm(motion[:3, 3]) > _STEP_M or np.linalg.norm(rotation_vector(motion[:3, :3])) > _STEP_RAD
@@ -202,7 +206,8 @@ class MotionSampler:
         if len(self.steps) > 2 * STEPS:
             self.steps, self.every = self.steps[::2], 2 * self.every
         self._next = max(number, self._next + self.every)
-        if number >= self._next:
+        self._rests_until_ns = raw.stamp_ns + self.rest_ns
+        if number >= self._next and not self.rest_ns:
             self._begun = raw
         else:
             self._begun = self._decoded = None
