@@ -90,6 +90,16 @@ class MotionAgreement:
         return known and abs(self.lag_s or 0.0) > _LAG_S + (self.lag_error_s or 0.0)
 
     @property
+    def is_surely_sound(self) -> bool:
+        """Whether no scale or lag within the errors would be a fault if both were as well known as they can be."""
+        is_known = self.scale is not None and self.lag_s is not None
+        if not is_known or self.poses != "sound" or self.axes != "x y z" or self.share < _SURE:
+            return False
+        off = max(self.scale or 1.0, 1 / (self.scale or 1.0)) * (1 + (self.scale_error or 0.0))
+        late_s = abs(self.lag_s or 0.0) + (self.lag_error_s or 0.0)
+        return off < _SCALE_OFF * (1 + 3 * _SCALE_ERROR) and late_s < _LAG_S + 3 * _STEP_OF_LAG_NS / 1e9
+
+    @property
     def is_worthless(self) -> bool:
         """Whether a map with these poses and depths would be worthless."""
         is_late = self.has_lag and abs(self.lag_s or 0.0) > _MOST_LAG_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache
@@ -36,6 +36,8 @@ logger = logging.getLogger(__name__)
 ANYWAY = "`play --anyway` maps it all the same"
 # `play` looks at so many frames of the beginning at most, until the camera has moved enough.
 _MOST_FRAMES = 1500
+# Of most logs, so few steps show that they are sound.
+_FIRST_STEPS = 8
 _MOST_LIVE_FRAMES = 20_000
 # So many frames wait for the comparison of a live run, and after a step it rests: mapping wants the processors.
 _MOST_BEHIND, _LIVE_REST_NS = 64, 250_000_000
@@ -101,11 +103,21 @@ def motion_warnings(
         return [], False
     motions = MotionSampler()
     with closing(PlayedSource(source, PlaybackClock(), start_s=start_s, end_s=end_s).frames()) as frames:
-        for raw in islice(frames, min(most_frames, _MOST_FRAMES)):
-            motions.add(raw)
-            if motions.num_moving >= STEPS:
-                break
-    return warnings_of(motions, source)
+        is_sound = _is_surely_sound(motions, islice(frames, min(most_frames, _MOST_FRAMES)), source)
+    return ([], False) if is_sound else warnings_of(motions, source)
+
+
+def _is_surely_sound(motions: MotionSampler, frames: Iterable[RawFrame], source: Source) -> bool:
+    # Takes frames until the camera has moved enough.
+    for raw in frames:
+        num_steps = len(motions.steps)
+        motions.add(raw)
+        num_moving = motions.num_moving if len(motions.steps) > num_steps else 0
+        if num_moving == _FIRST_STEPS and (motion := motions.agreement(link_of(source))) and motion.is_surely_sound:
+            return True
+        if num_moving >= STEPS:
+            break
+    return False
 
 
 def watched(source: Source, frames: Iterator[RawFrame], reasons: list[str]) -> Iterator[RawFrame]:
@@ -132,11 +144,8 @@ def watched(source: Source, frames: Iterator[RawFrame], reasons: list[str]) -> I
 
 def _watch(compared: SimpleQueue[RawFrame | None], source: Source, reasons: list[str]) -> None:
     motions = MotionSampler(rest_ns=_LIVE_REST_NS)
-    for raw in iter(compared.get, None):
-        num_steps = len(motions.steps)
-        motions.add(raw)
-        if len(motions.steps) > num_steps and motions.num_moving >= STEPS:
-            break
+    if _is_surely_sound(motions, iter(compared.get, None), source):
+        return
     for reason in warnings_of(motions, source)[0]:
         reasons.append(reason)
         logger.warning("%s", reason)

@@ -12,8 +12,8 @@ from hickory_stream.fleet.robots import Robot
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from players import SourceOptions, make_source_note, open_from_note, open_source
 from players.doctor.diagnosis import UNUSABLE
-from players.doctor.motion_agreement import MotionSampler
-from players.doctor.motion_mends import check_motion, watched
+from players.doctor.motion_agreement import MotionSampler, step_between
+from players.doctor.motion_mends import check_motion, motion_warnings, watched
 from players.live import open_live
 from players.profile import mended_profile
 from tests.players.test_motion_faults import DEPTH, ODOM, cut, stamped, unit
@@ -56,6 +56,18 @@ def test_the_part_that_is_played_is_compared_once(logs, monkeypatch):
     (reason,) = check_motion(source, note, anyway=True)
     assert "too far" in reason
     assert len(list(source.frames())) == 14
+
+
+@pytest.mark.parametrize(("change", "num_steps"), [(None, 8), (unit(10), 17)])
+def test_a_sound_log_is_compared_as_far_as_certainty_needs(tmp_path, monkeypatch, change, num_steps):
+    steps = []
+    monkeypatch.setattr(
+        "players.doctor.motion_agreement.step_between",
+        lambda before, after: steps.append(step_between(before, after)) or steps[-1],
+    )
+    source = open_source(cut(tmp_path / "log.mcap", change or (lambda rows: None), seconds=3.0))
+    assert motion_warnings(source)[1] == (change is not None)
+    assert len(steps) == num_steps
 
 
 def replayed(seconds):
