@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter, deque
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
-from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
+from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, AtomicFiles, disk_errors, sync, write_atomically
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.lazy_arrays import are_made_alike
@@ -281,18 +280,20 @@ class MapFolder:
 
         Raises `MapFolderError`: the disk refused; the folder opens as of the save before.
         """
-        with self._lock, disk_errors(self.path):
+        with self._lock, disk_errors(self.path), AtomicFiles() as new:
             # The next save does not build on one that failed.
             encoder, self._encoder, was_swept, self._is_swept = self._encoder, SnapshotEncoder(), self._is_swept, False
             if self.manifest.digest is not None:
                 # The digest of the continued run: from here on, the folder has another map.
                 self.manifest = replace(self.manifest, digest=None, seal="", finished_cleanly=False)
                 write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
-            written: set[str] = set()
-            encoded = encoder.encoded(snapshot, partial(self._write_missing, written))
-            for folder in sorted(written):
-                sync(self.path / folder)
-            self._sync_referenced(snapshot)
+            folders: set[str] = set()
+            encoded = encoder.encoded(snapshot, partial(self._write_missing, new, folders))
+            unsynced = self._unsynced_files(snapshot)
+            paths = [path for name in sorted(unsynced) for path in unsynced[name] if path.exists()]
+            new.commit(paths)
+            sync(*sorted({self.path / folder for folder in folders} | {path.parent for path in paths}))
+            self._unsynced = {name for name in self._unsynced - unsynced.keys() if name in self._referenced}
             write_atomically(self.path / layout.OBJECTS, encoded.document)
             sync(self.path)
             self._last, self._encoder, self._is_swept = snapshot, encoder, was_swept
@@ -356,25 +357,18 @@ class MapFolder:
         if self._folder_lock is not None:
             self._folder_lock.release()
 
-    def _write_missing(self, folders: set[str], name: str, data: bytes) -> None:
+    def _write_missing(self, new: AtomicFiles, folders: set[str], name: str, data: bytes) -> None:
         path = self.path / name
         if not path.exists():
-            write_atomically(path, data)
+            new.write(path, data)
         folders.add(name.partition("/")[0])
 
-    def _sync_referenced(self, snapshot: MapSnapshot) -> None:
+    def _unsynced_files(self, snapshot: MapSnapshot) -> dict[str, tuple[Path, ...]]:
         # Views are written without a sync; the map may refer to them only after one.
         self._unsynced.update(self._referenced.follow(snapshot))
         files = {name: layout.files_of_name(self.path, name) for name in self._unsynced}
         # The description of a view, the last of its files, is written last.
-        whole = {name for name, paths in files.items() if paths[-1].exists()}
-        for path in [path for name in whole for path in files[name]]:
-            with suppress(FileNotFoundError):
-                sync(path)
-        if whole:
-            sync(self.views)
-            sync(self.shapes)
-        self._unsynced = {name for name in self._unsynced - whole if name in self._referenced}
+        return {name: paths for name, paths in files.items() if paths[-1].exists()}
 
     def _remove_unreferenced(self, gone: Iterable[str]) -> None:
         # The first time also files of others, or of a save that failed.

@@ -90,6 +90,16 @@ class MotionAgreement:
         return known and abs(self.lag_s or 0.0) > _LAG_S + (self.lag_error_s or 0.0)
 
     @property
+    def is_surely_sound(self) -> bool:
+        """Whether no scale or lag within the errors would be a fault if both were as well known as they can be."""
+        is_known = self.scale is not None and self.lag_s is not None
+        if not is_known or self.poses != "sound" or self.axes != "x y z" or self.share < _SURE:
+            return False
+        off = max(self.scale or 1.0, 1 / (self.scale or 1.0)) * (1 + (self.scale_error or 0.0))
+        late_s = abs(self.lag_s or 0.0) + (self.lag_error_s or 0.0)
+        return off < _SCALE_OFF * (1 + 3 * _SCALE_ERROR) and late_s < _LAG_S + 3 * _STEP_OF_LAG_NS / 1e9
+
+    @property
     def is_worthless(self) -> bool:
         """Whether a map with these poses and depths would be worthless."""
         is_late = self.has_lag and abs(self.lag_s or 0.0) > _MOST_LAG_S
@@ -156,6 +166,8 @@ class MotionSampler:
     compares_colors: bool = False
     #: Frames from one step to the next; it doubles where the log is longer than expected.
     every: int = 1
+    #: From the end of a step to the next one.
+    rest_ns: int = 0
     steps: list[CameraStep] = field(default_factory=list)
     #: Of the steps in which edges move: where depth lies on colour.
     lag_scores: list[NDArray[np.float64]] = field(default_factory=list)
@@ -165,6 +177,7 @@ class MotionSampler:
     #: the last step's second frame, with which the next step often begins
     _decoded: Frame | None = None
     _next: int = 0
+    _rests_until_ns: int = 0
     _has_ended: bool = False
 
     @property
@@ -183,7 +196,8 @@ class MotionSampler:
         self.stamps_ns.append(raw.stamp_ns)
         self.poses.append(raw.world_from_camera)
         if self._begun is None or raw.stamp_ns - self._begun.stamp_ns > _LOST_NS:
-            self._begun, self._decoded = raw if number >= self._next else None, None
+            is_next = number >= self._next and raw.stamp_ns >= self._rests_until_ns
+            self._begun, self._decoded = raw if is_next else None, None
             return
         motion = compose(invert(self._begun.world_from_camera), raw.world_from_camera)
         is_far = np.linalg.norm(motion[:3, 3]) > _STEP_M or np.linalg.norm(rotation_vector(motion[:3, :3])) > _STEP_RAD
@@ -202,7 +216,8 @@ class MotionSampler:
         if len(self.steps) > 2 * STEPS:
             self.steps, self.every = self.steps[::2], 2 * self.every
         self._next = max(number, self._next + self.every)
-        if number >= self._next:
+        self._rests_until_ns = raw.stamp_ns + self.rest_ns
+        if number >= self._next and not self.rest_ns:
             self._begun = raw
         else:
             self._begun = self._decoded = None

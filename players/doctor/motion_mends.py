@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,14 +29,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.ports import Source
-    from hickory_stream.records import RawFrame
+    from hickory_stream.records import Frame, RawFrame
 
 logger = logging.getLogger(__name__)
 
 ANYWAY = "`play --anyway` maps it all the same"
 # `play` looks at so many frames of the beginning at most, until the camera has moved enough.
 _MOST_FRAMES = 1500
+# Of most logs, so few steps show that they are sound.
+_FIRST_STEPS = 8
 _MOST_LIVE_FRAMES = 20_000
+# So many frames wait for the comparison of a live run, and after a step it rests: mapping wants the processors.
+_MOST_BEHIND, _LIVE_REST_NS = 64, 250_000_000
 
 # Units in which depth is recorded: numbers a metre, and the unit's name.
 _UNITS = {
@@ -98,34 +103,63 @@ def motion_warnings(
         return [], False
     motions = MotionSampler()
     with closing(PlayedSource(source, PlaybackClock(), start_s=start_s, end_s=end_s).frames()) as frames:
-        for raw in islice(frames, min(most_frames, _MOST_FRAMES)):
-            motions.add(raw)
-            if motions.num_moving >= STEPS:
-                break
-    return warnings_of(motions, source)
+        is_sound = _is_surely_sound(motions, islice(frames, min(most_frames, _MOST_FRAMES)), source)
+    return ([], False) if is_sound else warnings_of(motions, source)
+
+
+def _is_surely_sound(motions: MotionSampler, frames: Iterable[RawFrame], source: Source) -> bool:
+    # Takes frames until the camera has moved enough.
+    for raw in frames:
+        num_steps = len(motions.steps)
+        motions.add(raw)
+        num_moving = motions.num_moving if len(motions.steps) > num_steps else 0
+        if num_moving == _FIRST_STEPS and (motion := motions.agreement(link_of(source))) and motion.is_surely_sound:
+            return True
+        if num_moving >= STEPS:
+            break
+    return False
 
 
 def watched(source: Source, frames: Iterator[RawFrame], reasons: list[str]) -> Iterator[RawFrame]:
-    """Yield the frames of a running source; `reasons` gets what is certainly wrong, once, while the frames go on."""
-    motions = MotionSampler()
-    thread = threading.Thread(target=_warn, args=(motions, source, reasons), name="motion-watch", daemon=True)
-    for number, frame in enumerate(frames):
-        raw = frame
-        if thread.ident is None:
-            raw = replace(frame, decode=cache(frame.decode))
-            motions.add(raw)
-            if motions.num_moving >= STEPS or number >= _MOST_LIVE_FRAMES:
-                thread.start()
-        yield raw
-    if thread.ident is None:
-        thread.start()
-    thread.join()
+    """Yield the frames of a running source; `reasons` gets what is certainly wrong, once, while the frames go on.
+
+    A thread compares some of the frames. None waits for it: those that come while it is behind are left out.
+    """
+    compared: SimpleQueue[RawFrame | None] = SimpleQueue()
+    thread = threading.Thread(target=_watch, args=(compared, source, reasons), name="motion-watch", daemon=True)
+    thread.start()
+    try:
+        for number, frame in enumerate(frames):
+            raw = frame
+            if number >= _MOST_LIVE_FRAMES:
+                compared.put(None)
+            elif thread.is_alive() and compared.qsize() < _MOST_BEHIND:
+                raw = replace(frame, decode=_once(frame.decode))
+                compared.put(raw)
+            yield raw
+    finally:
+        compared.put(None)
+        thread.join()
 
 
-def _warn(motions: MotionSampler, source: Source, reasons: list[str]) -> None:
+def _watch(compared: SimpleQueue[RawFrame | None], source: Source, reasons: list[str]) -> None:
+    motions = MotionSampler(rest_ns=_LIVE_REST_NS)
+    if _is_surely_sound(motions, iter(compared.get, None), source):
+        return
     for reason in warnings_of(motions, source)[0]:
         reasons.append(reason)
         logger.warning("%s", reason)
+
+
+def _once(decode: Callable[[], Frame]) -> Callable[[], Frame]:
+    # Two threads want the frame; the second waits for what the first decodes.
+    decoded, lock = cache(decode), threading.Lock()
+
+    def locked() -> Frame:
+        with lock:
+            return decoded()
+
+    return locked
 
 
 def warnings_of(motions: MotionSampler, source: Source) -> tuple[list[str], bool]:

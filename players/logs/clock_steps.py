@@ -84,9 +84,13 @@ class _Stream:
         first = next((i for i, off_ns in enumerate(moved_ns) if off_ns), None)
         if first is None or not all(_is_same(off_ns, moved_ns[first]) for off_ns in moved_ns[first:]):
             return 0
-        last, period_ns = seen[first - 1] if first else self.last, median(self.periods_ns)
-        off_ns, log_off_ns = (abs(now - then - period_ns) for now, then in zip(seen[first], last, strict=True))
-        return int(median(moved_ns[first:])) if off_ns > log_off_ns else 0
+        is_late = self.is_late(*seen[first], seen[first - 1] if first else self.last)
+        return 0 if is_late else int(median(moved_ns[first:]))
+
+    def is_late(self, stamp_ns: int, log_ns: int, last: tuple[int, int]) -> bool:
+        """Return whether the log time left its period rather than the stamp: the message was delayed."""
+        period_ns = median(self.periods_ns)
+        return abs(stamp_ns - last[0] - period_ns) <= abs(log_ns - last[1] - period_ns)
 
     def back_ns(self, stamp_ns: int, log_ns: int) -> int:
         """Return how far both times were set back; 0 if they do not go back."""
@@ -171,7 +175,9 @@ class ClockSteps:
         if not timed.stamp_ns or (stream := self._streams.get(timed.topic)) is None:
             return False
         is_back = timed.log_ns < self._newest_log_ns - LEAST_STEP_NS and self._num_unordered < _PATIENCE
-        is_moved = stream.moved_ns(timed.stamp_ns, timed.log_ns) != 0
+        # A delay, as while a live reader is busy, is no step: holding what follows would delay it further.
+        times = (timed.stamp_ns, timed.log_ns)
+        is_moved = stream.moved_ns(*times) != 0 and not stream.is_late(*times, stream.last)
         return is_back or is_moved or stream.is_crowded(timed.stamp_ns - stream.last[0])
 
     def _decided(self, *, is_last: bool) -> Iterator[tuple[Timed, int]]:

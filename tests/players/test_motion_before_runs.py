@@ -1,6 +1,8 @@
 import logging
 import re
+import threading
 import pytest
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, RecordingError
@@ -10,7 +12,8 @@ from hickory_stream.fleet.robots import Robot
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from players import SourceOptions, make_source_note, open_from_note, open_source
 from players.doctor.diagnosis import UNUSABLE
-from players.doctor.motion_mends import check_motion
+from players.doctor.motion_agreement import MotionSampler, step_between
+from players.doctor.motion_mends import check_motion, motion_warnings, watched
 from players.live import open_live
 from players.profile import mended_profile
 from tests.players.test_motion_faults import DEPTH, ODOM, cut, stamped, unit
@@ -53,6 +56,18 @@ def test_the_part_that_is_played_is_compared_once(logs, monkeypatch):
     (reason,) = check_motion(source, note, anyway=True)
     assert "too far" in reason
     assert len(list(source.frames())) == 14
+
+
+@pytest.mark.parametrize(("change", "num_steps"), [(None, 8), (unit(10), 17)])
+def test_a_sound_log_is_compared_as_far_as_certainty_needs(tmp_path, monkeypatch, change, num_steps):
+    steps = []
+    monkeypatch.setattr(
+        "players.doctor.motion_agreement.step_between",
+        lambda before, after: steps.append(step_between(before, after)) or steps[-1],
+    )
+    source = open_source(cut(tmp_path / "log.mcap", change or (lambda rows: None), seconds=3.0))
+    assert motion_warnings(source)[1] == (change is not None)
+    assert len(steps) == num_steps
 
 
 def replayed(seconds):
@@ -105,3 +120,14 @@ def test_a_live_run_is_told_once_and_goes_on(tmp_path, caplog, change, said):
     assert len(told) == bool(said)
     assert all(said in text for text in told)
     assert [text for text in source.account().findings if "put " in text] == told
+
+
+def test_no_frame_of_a_live_run_waits_for_its_comparison(monkeypatch):
+    all_came, compared = threading.Event(), []
+    monkeypatch.setattr(MotionSampler, "add", lambda self, raw: compared.append(all_came.wait(5.0)))
+    source = SceneSource(10)
+    frames = watched(source, source.frames(), [])
+    assert [next(frames).index for _ in range(10)] == list(range(10))
+    all_came.set()
+    frames.close()
+    assert compared == [True] * 10

@@ -111,6 +111,10 @@ def _stalled(topic, stamp, log):
     return stamp, max(log, 3 * S + (log - S) // 1000) if S < log < 3 * S else log
 
 
+def _lasting(topic, stamp, log):
+    return stamp, log + 600 * MS * (stamp >= MIDDLE)
+
+
 def _jittered(spread):
     rng = random.Random(7)
     return lambda topic, stamp, log: (stamp, log + rng.randrange(spread))
@@ -122,7 +126,7 @@ def _jittered(spread):
         _stalled,
         _jittered(30 * MS),
         _jittered(200 * MS),
-        lambda topic, stamp, log: (stamp, log + 600 * MS * (stamp >= MIDDLE)),
+        _lasting,
         lambda topic, stamp, log: (stamp, log + stamp // 20),
         lambda topic, stamp, log: (stamp, log // 5),
         lambda topic, stamp, log: (stamp, log // 5 + log * (stamp >= MIDDLE)),
@@ -135,6 +139,13 @@ def test_delays_and_single_stamps_are_no_steps(delay):
     clock, numbers = _numbered(_stream(delay))
     assert clock.texts == {}
     assert set(numbers.values()) == {0}
+
+
+@pytest.mark.parametrize("delay", [_stalled, _lasting, _jittered(200 * MS)], ids=["stall", "lasting", "jitter"])
+def test_delayed_messages_hold_back_none_behind_them(delay):
+    arriving = iter(messages := _stream(delay))
+    for i, (timed, _) in enumerate(ClockSteps().numbered(arriving), 1):
+        assert (timed, arriving.__length_hint__()) == (messages[i - 1], len(messages) - i)
 
 
 def test_a_file_in_no_order_of_time_has_no_steps():

@@ -1,15 +1,19 @@
-"""A log as a depth camera of 1280x720 at 30 Hz makes it: JPEG colour, raw 16-bit depth; made from the embedded one."""
+"""Logs of other robots, made from logs that exist: a depth camera of 1280x720 at 30 Hz; a walking B2 with a ZED."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from players.opening import open_container
+from hickory_stream.geometry.rigid import from_rotation_translation, rotation_of_vector
+from players.opening import open_container, open_source
 from tools.damage.damaging import write_mcap
 from tools.robot.prepared import humble
+from tools.worlds.layouts import NusClbLog, drawn_mounting
 
 _COLOR = "/zed/zed_node/rgb/color/rect/image/compressed"
 _DEPTH = "/zed/zed_node/depth/depth_registered/compressedDepth"
@@ -17,6 +21,7 @@ _RAW_DEPTH = "/zed/zed_node/depth/depth_registered"
 _SIZE = (1280, 720)
 _RATE_HZ = 30
 _QUALITY = 92
+_B2_RATE_HZ, _STEPS_HZ, _PITCH_DEG, _EXPOSURE_S = 15, 2.0, 1.5, 0.01
 
 
 def write_720p(source: Path, target: Path, *, seconds: float) -> Path:
@@ -30,6 +35,59 @@ def write_720p(source: Path, target: Path, *, seconds: float) -> Path:
         if name not in (_COLOR, _DEPTH) and at_ns - first_ns < seconds * 1e9:
             made.append((name, at_ns, _scaled(store.deserialize_cdr(data, types[name]))))
     return write_mcap(target, sorted(made, key=lambda entry: entry[1]), "none", 4 << 20)
+
+
+def write_b2(source: Path, folder: Path, *, seconds: float, width: int = 1280, seed: int = 0) -> Path:
+    """Write the beginning of a log as a B2's bag in the layout of NUS-CLB (sqlite3), at 15 Hz; return its folder."""
+    # The gait pitches the camera, which is a homography of the images; colour is blurred by the turn during exposure.
+    frames = open_source(source)
+    small, factor = frames.info.camera, width / frames.info.camera.width
+    height = width * 9 // 16
+    camera = replace(
+        small, width=width, height=height, fx=small.fx * factor, fy=small.fy * factor,
+        cx=(small.cx + 0.5) * factor - 0.5, cy=(small.cy + 0.5) * factor - 0.5 + (height - small.height * factor) / 2,
+    )  # fmt: skip
+    start_ns = frames.info.start_ns
+    assert start_ns is not None
+    end_ns, due_ns, before = start_ns + round(seconds * 1e9), start_ns, None
+    with NusClbLog(folder, folder.name, camera, _QUALITY, end_ns, drawn_mounting(seed)) as log:
+        log.write_static(start_ns)
+        for raw in takewhile(lambda raw: raw.stamp_ns < end_ns, frames.frames()):
+            pitch = rotation_of_vector(np.array([_gait_rad(raw.stamp_ns - start_ns), 0.0, 0.0]))
+            pose = raw.world_from_camera @ from_rotation_translation(pitch.T, np.zeros(3))
+            log.write_pose(raw.stamp_ns, pose, np.eye(4))
+            if raw.stamp_ns >= due_ns:
+                due_ns += 1_000_000_000 // _B2_RATE_HZ
+                turned = camera.K @ pitch @ np.linalg.inv(small.K)
+                frame = raw.decode()
+                rgb = cv2.warpPerspective(frame.rgb, turned, (width, height))
+                along = np.linalg.inv(small.K)[:, :2] @ np.indices(frame.depth_m.shape)[::-1].reshape(2, -1)
+                along = pitch[2] @ (along + np.linalg.inv(small.K)[:, 2:])
+                depth = cv2.warpPerspective(
+                    frame.depth_m * along.reshape(frame.depth_m.shape).astype(np.float32), turned, (width, height),
+                    flags=cv2.INTER_NEAREST, borderValue=float("nan"),
+                )  # fmt: skip
+                log.write_images(raw.stamp_ns, _blurred(rgb, camera, before, (raw.stamp_ns, pose)), depth)
+            before = raw.stamp_ns, pose
+    return folder
+
+
+def _gait_rad(since_ns: int) -> float:
+    return float(np.radians(_PITCH_DEG) * np.sin(2 * np.pi * _STEPS_HZ * since_ns / 1e9))
+
+
+def _blurred(rgb: Any, camera: Any, before: tuple[int, Any] | None, now: tuple[int, Any]) -> Any:
+    if before is None:
+        return rgb
+    ahead = before[1][:3, :3].T @ now[1][:3, 2]
+    moved_px = camera.fx * _EXPOSURE_S * ahead[:2] / (now[0] - before[0]) * 1e9
+    size = int(np.abs(moved_px).max()) | 1
+    kernel = np.zeros((size, size), np.float32)
+    middle = size // 2
+    end = tuple(np.rint(middle + moved_px / 2).astype(int).tolist())
+    start = tuple(np.rint(middle - moved_px / 2).astype(int).tolist())
+    cv2.line(kernel, start, end, 1.0)
+    return cv2.filter2D(rgb, -1, kernel / kernel.sum())
 
 
 def _at_30_hz(
