@@ -55,7 +55,8 @@ def is_wall_column(num_structure: NDArray[np.int64], voxel_m: float) -> NDArray[
     return num_structure * voxel_m >= _WALL_SHARE * WALL_M
 
 
-_SURE_HITS = 2
+# So many hits are sure structure or surface.
+SURE_HITS = 2
 # When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
 _MOST_VOTES = 240
 # A surface that lies this much lower is not a step of the floor: the presumed floor was a table, unless it is as large
@@ -143,7 +144,7 @@ class SpaceState(GivesUpArrays):
 
 
 def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    return (hits >= _SURE_HITS) & (hits > misses)
+    return (hits >= SURE_HITS) & (hits > misses)
 
 
 def empty_space(voxel_m: float) -> SpaceState:
@@ -165,7 +166,7 @@ def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> S
     surface, hits, misses, change = _voted(state.surface, state.hits, state.misses, voters, seen.structure_keys)
     gained, lost = voters[change > 0], voters[change < 0]
     state = replace(state, surface=surface, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
-    is_hidden = structure_hits(state, seen.free_keys) >= _SURE_HITS
+    is_hidden = structure_hits(state, seen.free_keys) >= SURE_HITS
     # Voxels that have just become structure are no longer free, and rays that graze structure do not make it free.
     bared = lost[contains(state.hidden_free, lost)]
     hidden = union(gained[contains(state.free, gained)], seen.free_keys[is_hidden])
@@ -308,7 +309,7 @@ def _voted(surface, hits, misses, voters, structure):
         is_known = i < len(surface) and surface[i] == voters[j]
         num_hits, num_misses = (np.int64(hits[i]), np.int64(misses[i])) if is_known else (np.int64(0), np.int64(0))
         i += is_known
-        before = num_hits >= _SURE_HITS and num_hits > num_misses
+        before = num_hits >= SURE_HITS and num_hits > num_misses
         at = first_not_below(structure, voters[j], at)
         if at < len(structure) and structure[at] == voters[j]:
             num_hits += 1
@@ -316,7 +317,7 @@ def _voted(surface, hits, misses, voters, structure):
             num_misses += 1
         if max(num_hits, num_misses) >= _MOST_VOTES:
             num_hits, num_misses = num_hits // 2, num_misses // 2
-        now = num_hits >= _SURE_HITS and num_hits > num_misses
+        now = num_hits >= SURE_HITS and num_hits > num_misses
         change[j] = np.int8(now) - np.int8(before)
         keys[n], all_hits[n], all_misses[n] = voters[j], num_hits, num_misses
         n += 1
@@ -384,7 +385,7 @@ def known_space(record: ObservedSpace) -> SpaceState:
         empty_space(record.voxel_m),
         free=record.free,
         surface=structure,
-        hits=np.full(len(structure), _SURE_HITS, dtype=np.uint8),
+        hits=np.full(len(structure), SURE_HITS, dtype=np.uint8),
         misses=np.zeros(len(structure), dtype=np.uint8),
         floor_z_m=record.floor_z_m,
     )

@@ -24,6 +24,7 @@ from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, t
 from hickory_stream.geometry.voxels import contains, difference, places, union
 from hickory_stream.mapping.entities import observed_space
 from hickory_stream.mapping.entities.observed_space import (
+    SURE_HITS,
     SpaceState,
     Window,
     added,
@@ -59,7 +60,7 @@ def longer(
     return step if lengths is None else lengths + step
 
 
-_SURE_HITS, _SURE_NORMAL = 2, 0.8
+_SURE_NORMAL = 0.8
 _NO_POINTS, _NO_KEYS = np.empty((0, 3), np.float32), np.empty(0, np.int64)
 # The window reaches at least so far around what a keyframe sees: further than any check of a track looks, and than the
 # next keyframe may look beside it. Where it is moved it reaches further by the second length.
@@ -363,7 +364,7 @@ def _survey(surface: SubmapSurface, space: SpaceState, name: str) -> NDArray[Any
         return space.free.view()
     normals = surface.normals
     length = np.sqrt((normals * normals).sum(axis=1))
-    is_sure = (surface.hits >= _SURE_HITS) & (length > _SURE_NORMAL)
+    is_sure = (surface.hits >= SURE_HITS) & (length > _SURE_NORMAL)
     return surface.points[is_sure] if name == "points" else normals[is_sure] / length[is_sure][:, None]
 
 

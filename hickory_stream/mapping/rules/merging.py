@@ -21,17 +21,19 @@ from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import better, covers_better
 from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, transition
 from hickory_stream.mapping.rules.support_graph import SupportGraph
-from hickory_stream.mapping.rules.support_relations import COLUMN_M
+from hickory_stream.mapping.rules.support_relations import COLUMN_M, MEET_M
 from hickory_stream.records import Phase, View
 
-# Boxes with a smaller gap count as touching: a segmenter can take their objects for one.
-_MEET_M = 0.15
-# Minimum share of the smaller cloud's voxels on the larger one for duplicates, and for two tracks of which one alone is
-# attached to the room.
+# Minimum share of the smaller cloud's voxels on the larger one for duplicates; and for tracks that were seen apart
+# more often than together, or of which one alone is attached to the room.
 DUPLICATE_SHARE = 0.5
-_SURE_SHARE = 0.7
+SURE_SHARE = 0.7
 # An observation of one track that covers this share of another is a vote for a merge.
 _COVERS_SHARE = 0.3
+# Votes for this long, at this ratio to the time for which the two were seen apart, suffice as well: close views
+# over-segment objects more often than distant ones under-segment them.
+_SURE_NS = 1_500_000_000
+_SURE_RATIO = 0.7
 # Clouds whose depth is less sure than this many voxels are compared in cells of about half a standard deviation.
 _NOISY_VOXELS = 8.0
 
@@ -156,7 +158,7 @@ def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[i
     """Return the pairs of tracks whose observations' bounds (2, 3) touch or nearly touch."""
     both = np.array(bounds).reshape(-1, 2, 3)
     low, high = both[:, 0], both[:, 1]
-    meet = (low[:, None] <= high[None] + _MEET_M).all(axis=2) & (low[None] <= high[:, None] + _MEET_M).all(axis=2)
+    meet = (low[:, None] <= high[None] + MEET_M).all(axis=2) & (low[None] <= high[:, None] + MEET_M).all(axis=2)
     return {pair_of(track_ids[i], track_ids[j]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
 
 
@@ -253,15 +255,16 @@ def why_one(
 def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:
     # Frames that see a picture and its wall as one do not make them so. A size alone, which grows, divides nothing.
     is_one_kind = a.is_attached == b.is_attached
-    if is_one_kind and votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns:
+    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
+    if is_one_kind and (often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns)):
         return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
     small, large = (a, b) if len(a.solid.keys) <= len(b.solid.keys) else (b, a)
     share = share_near(small.solid.keys, large.solid)
     if not is_one_kind:
         # The smaller is a side of the larger, e.g. the front of a wardrobe.
         same = f"{share:.0%} of the smaller, {small.kind}, lies on the larger, {large.kind}"
-        return None if share < _SURE_SHARE else same
-    if share >= DUPLICATE_SHARE:
+        return None if share < SURE_SHARE else same
+    if share >= (SURE_SHARE if votes.apart_ns > votes.together_ns else DUPLICATE_SHARE):
         return f"{share:.0%} of the smaller cloud lies on the larger one"
     if votes.apart_ns > 0:
         return None

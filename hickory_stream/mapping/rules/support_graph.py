@@ -23,6 +23,7 @@ from hickory_stream.mapping.entities.observed_space import SpaceState, sees_stru
 from hickory_stream.mapping.rules.support_relations import (
     COLUMN_M,
     LOWEST_PCT,
+    MEET_M,
     SLACK_M,
     Body,
     bottom_of_box_m,
@@ -45,8 +46,6 @@ _FREE_SHARE = 0.9
 # It is supported if more than this share of its lowest points is beside another track, or if structure is near.
 _SUPPORT_SHARE = 0.1
 _NEAR_WALL_M = 2 * SLACK_M
-# Maximum distance to the track that it is attached to.
-ATTACH_M = 0.15
 
 
 def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body | None:
@@ -60,13 +59,13 @@ def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body
     foot = points[points[:, 2] < low + SLACK_M]
     if not _is_free_below(foot, points, space) or sees_structure(space, body.box, points, _NEAR_WALL_M):
         return None
-    near = [other for other in others if other.id != body.id and _meet(body, other, ATTACH_M)]
+    near = [other for other in others if other.id != body.id and _meet(body, other, MEET_M)]
     clouds = [cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
         distances_m, _ = cloud.query(foot, distance_upper_bound=SLACK_M)
         if float(np.isfinite(distances_m).mean()) >= _SUPPORT_SHARE:
             return None
-    gaps_m = [float(cloud.query(points, distance_upper_bound=ATTACH_M)[0].min()) for cloud in clouds]
+    gaps_m = [float(cloud.query(points, distance_upper_bound=MEET_M)[0].min()) for cloud in clouds]
     closest = min(range(len(near)), key=lambda i: (gaps_m[i], near[i].id), default=None)
     return None if closest is None or not np.isfinite(gaps_m[closest]) else near[closest]
 

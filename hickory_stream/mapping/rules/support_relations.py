@@ -60,13 +60,14 @@ _MOST = 0.8
 # Maximum height of a body's lower end above the top of its leg, foot or pot: the column between them may be too thin
 # for the sensor, or hidden.
 COLUMN_M = 0.2
+# Bodies with a smaller gap may touch: a segmenter can take them for one.
+MEET_M = 0.15
 # A leg has at least this ratio of height to width, and at least this share of its box inside the table's box.
 _LEG_SLENDER = 1.5
 _LEG_INSIDE = 0.5
 # A leg with less than this share of the table's area may stand beside the visible part of the table; a thicker one
-# must have at least this share of its own area covered by the table.
+# must have as large a share of its own area covered by the table as of its box inside.
 _THIN_LEG = 0.04
-_LEG_COVERED = 0.4
 # The lowest part of a plant or a seat, by this share of its height, stands on its pot or foot.
 _FOOT_SLICE = 0.15
 # At least this share of a part's points touches the other body.
@@ -109,7 +110,7 @@ def is_leg(small: Body, large: Body) -> bool:
     if len(above) < _MIN_POINTS:
         return False
     # A thick leg must be covered by a board: above a speaker beside a shelf there is only the side of the shelf.
-    return _is_thin(small, large) or _covered_share(small, above) >= _LEG_COVERED
+    return _is_thin(small, large) or _covered_share(small, above) >= _LEG_INSIDE
 
 
 def _is_thin(small: Body, large: Body) -> bool:

@@ -37,7 +37,7 @@ from hickory_stream.mapping.rules.lifecycle import (
     transition,
 )
 from hickory_stream.mapping.rules.structure_checks import is_seen_through
-from hickory_stream.mapping.rules.support_graph import ATTACH_M
+from hickory_stream.mapping.rules.support_relations import MEET_M
 from hickory_stream.mapping.steps.endings import drop, unite
 from hickory_stream.records import ObjectShape, Phase
 
@@ -246,7 +246,7 @@ class TrackTransition:
         """The id of the track from which this one hangs; None if it is supported, or no track is near."""
         if not self._merges:
             return None
-        beside = self.state.tracks.touching(self.track.bounds, ATTACH_M)
+        beside = self.state.tracks.touching(self.track.bounds, MEET_M)
         # A fixture hangs from the room; and what a piece of a wall seems to hold hangs from that.
         others = (o for o in beside if is_object(o) and o.kind is self.track.kind and self.state.is_judged(o))
         support = self.state.support_graph(self.space).hangs_from(self.track, others)

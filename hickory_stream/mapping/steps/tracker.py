@@ -38,6 +38,8 @@ Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 # A look counts no longer than this as a vote, so that one under-segmented keyframe never decides.
 _LOOK_NS = 500_000_000
+# An observation's points are not fused where they lie on another track with at least this many sightings.
+_NEIGHBOR_SIGHTINGS = 2
 # Masks with a smaller share of their outline drawn are less often right: 0.3 to 0.5 of them on a campus, 0.5 to 0.7
 # above it; in a home 0.7 to 0.8 of them, however large the share is above it.
 _DRAWN = 0.5
@@ -143,11 +145,11 @@ class Tracker:
         return tuple(covered)
 
     def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
-        # Other tracks that an observation's points may belong to.
+        # Other established tracks that an observation's points may belong to.
         if self.is_external:
             return []
         near = state.tracks.touching(bounds_of(observation.points_world))
-        return [other for other in near if other.id != track.id]
+        return [other for other in near if other.id != track.id and other.sightings >= _NEIGHBOR_SIGHTINGS]
 
     def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
         # Apart: two whole observations whose boxes touch. Together only if not apart, since small objects in contact
