@@ -1,6 +1,6 @@
 """Relocalisation of a running log in a stored map: it is mapped, and aligned again as its map grows.
 
-A pose is confirmed when two consecutive answers agree; the first one may be chance.
+A pose is confirmed when two poses in a row agree; the first one may be chance. A refusal between them says nothing.
 """
 
 import asyncio
@@ -29,9 +29,9 @@ class Located:
     stamp_ns: int
     num_objects: int
     answer: Alignment | NoAlignment
-    #: The answer before agrees.
+    #: The pose before agrees.
     is_confirmed: bool
-    #: The answer before differs.
+    #: The pose before differs.
     has_jumped: bool
 
 
@@ -54,6 +54,7 @@ def relocalise(
 
     async def answered() -> Located | None:
         last: Located | None = None
+        pose: Alignment | None = None
         known: frozenset[int] = frozenset()
         async with Mapper(config, out=None) as mapper:
             async for snapshot in mapper.run(source, rate=rate):
@@ -63,7 +64,8 @@ def relocalise(
                     continue
                 known = objects
                 here = object_map(snapshot, mapper.extractor_name)
-                last = await asyncio.to_thread(_located, stored, here, snapshot.stamp_ns, last)
+                last = await asyncio.to_thread(_located, stored, here, snapshot.stamp_ns, pose)
+                pose = last.answer if isinstance(last.answer, Alignment) else pose
                 report(last)
                 if stops_when_found and last.is_confirmed:
                     mapper.stop()
@@ -78,11 +80,10 @@ def without(stored: ObjectMap, movable: Collection[int]) -> ObjectMap:
     return taken(stored, np.flatnonzero(~np.isin(stored.ids, list(movable))))
 
 
-def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | None) -> Located:
+def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, before: Alignment | None) -> Located:
     answer = align(stored, here)
-    before = last.answer if last is not None else None
     is_confirmed = has_jumped = False
-    if isinstance(answer, Alignment) and isinstance(before, Alignment):
+    if isinstance(answer, Alignment) and before is not None:
         center_b = apply(invert(answer.a_from_b), answer.center_a)
         has_jumped = differs(answer.a_from_b, before.a_from_b, center_b, distance_m=_AGREE_M, angle_rad=_AGREE_RAD)
         is_confirmed = not has_jumped
