@@ -10,7 +10,7 @@ def test_numbers_of_configuration_and_modules_are_found_once():
     found = {constant.name: constant.value for constant in constants()}
     assert len(found) == len(constants())
     assert found["mapping.merge.min_together_s"] == MapperConfig().mapping.merge.min_together_s
-    assert found["mapping/merging.py:_MEET_M"] == merging._MEET_M
+    assert found["mapping/merging.py:_COVERS_SHARE"] == merging._COVERS_SHARE
     assert not any(isinstance(value, bool) for value in found.values())
 
 

@@ -20,7 +20,7 @@ from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import is_packed, pack_part
-from hickory_stream.mapping.entities.observed_space import SpaceState, window_of
+from hickory_stream.mapping.entities.observed_space import SpaceState, share_in, window_of
 from hickory_stream.mapping.entities.submaps import space_around
 from hickory_stream.mapping.entities.track import Track, is_object, sketched
 from hickory_stream.mapping.entities.track_table import REACH_M, Mark
@@ -36,7 +36,6 @@ from hickory_stream.mapping.rules.lifecycle import (
     is_sure,
     transition,
 )
-from hickory_stream.mapping.rules.structure_checks import is_seen_through
 from hickory_stream.mapping.rules.support_relations import MEET_M
 from hickory_stream.mapping.steps.endings import drop, unite
 from hickory_stream.records import ObjectShape, Phase
@@ -44,6 +43,8 @@ from hickory_stream.records import ObjectShape, Phase
 _ROUNDING_NS = 2
 # The kind of a track is judged again when its points or sightings have changed by this share, and at the end.
 _JUDGED_GROWTH = 0.5
+# A keyframe that observes at least this share of a track's voxels free sees through it.
+_PHANTOM_SHARE = 0.7
 # A generated shape of which a keyframe sees this share to be free is renewed, if views have come since its request.
 _REFUTED_SHARE = 0.1
 
@@ -159,21 +160,21 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
 
 def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Drop the tracks that were not confirmed by the end, and merge unsupported ones."""
-    return _happens_to_all(state, LifeEvent.SOURCE_ENDED, config, merges=merges)
-
-
-def _happens_to_all(state: MapState, event: LifeEvent, config: MappingConfig, *, merges: bool) -> list[Effect]:
     effects: list[Effect] = []
     for track_id in sorted(state.tracks):
         was_packed = track_id in state.tracks and is_packed(state.tracks[track_id].cloud)
         case = TrackTransition(state, track_id, config, merges=merges)
-        if event is LifeEvent.SOURCE_ENDED:
-            # Its surroundings may have changed since its points have.
-            case.judge()
-        effects += case.happens(event)
+        # Its surroundings may have changed since its points have.
+        case.judge()
+        effects += case.happens(LifeEvent.SOURCE_ENDED)
         if was_packed and (track := state.tracks.get(track_id)) is not None:
             pack_part(track.solid, track.cloud, state.derived.warm.keep)
     return effects
+
+
+def is_seen_through(track: Track, free_keys: NDArray[np.int64], config: MappingConfig) -> bool:
+    """Return whether a keyframe whose rays traversed the sorted voxels `free_keys` saw through a track."""
+    return share_in(free_keys, track.cloud.points, config.voxels.space_m) >= _PHANTOM_SHARE
 
 
 class TrackTransition:

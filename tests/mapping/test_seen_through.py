@@ -1,7 +1,7 @@
 import numpy as np
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
-from hickory_stream.mapping.rules.structure_checks import is_seen_through
+from hickory_stream.mapping.steps.ageing import is_seen_through
 from tests.mapping.mapping_fixtures import box_surface, track
 
 CONFIG = MappingConfig()
