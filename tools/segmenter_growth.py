@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hickory_stream.perception.regions.absolute_features import is_size
 from hickory_stream.perception.regions.features import joined
 from hickory_stream.perception.regions.join import Groups, JoinConfig, rounds
 from hickory_stream.perception.regions.odds_features import odds_features
@@ -20,7 +19,7 @@ from tools.segmenter_lessons import Lesson
 _PURE = 0.6
 _EAGER = 0.4
 _SHARES = (0.4, 0.8)
-EVERY = 2
+_EVERY = 2
 """One in so many lessons is joined by the first trees."""
 _MUTE_EVERY = 7
 """In one of so many lessons the network is taken to have said nothing."""
@@ -38,13 +37,11 @@ class Samples:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Growth:
-    """How trees are grown: `seed`, how many, with how many leaves each, and which inputs they may ask for."""
+    """How trees are grown: `seed`, how many, and with how many leaves each."""
 
     seed: int = 0
-    num_trees: int = 120
+    num_trees: int = 160
     num_leaves: int = 15
-    with_sizes: bool = True
-    with_odds: bool = False
 
 
 def train(
@@ -54,16 +51,16 @@ def train(
     # `shares` is what each kind weighs; None: all count alike.
     shares = shares or [1.0] * len(kinds)
     random = np.random.default_rng(growth.seed)
-    kinds = [_partly_mute(kind) for kind in kinds] if growth.with_odds else kinds
+    kinds = [_partly_mute(kind) for kind in kinds]
     some = next(lesson for kind in kinds for lesson in kind)
-    names = _names(some, growth)
+    names = _names(some)
     samples = [
         [_samples_of_truth(lesson, share, names, random) for lesson in kind for share in (0.0, *_SHARES)]
         for kind in kinds
     ]
     first = _grown(samples, shares, names, replace(growth, num_trees=max(1, growth.num_trees // 2)))
     for own, kind in zip(samples, kinds, strict=True):
-        for lesson in kind[::EVERY]:
+        for lesson in kind[::_EVERY]:
             own += _samples_of_rounds(lesson, names, first.probabilities)
     return _grown(samples, shares, names, growth), sum(len(sample.is_one) for own in samples for sample in own)
 
@@ -72,11 +69,10 @@ def _partly_mute(lessons: Sequence[Lesson]) -> list[Lesson]:
     return [replace(lesson, odds=None) if i % _MUTE_EVERY == 0 else lesson for i, lesson in enumerate(lessons)]
 
 
-def _names(lesson: Lesson, growth: Growth) -> tuple[str, ...]:
+def _names(lesson: Lesson) -> tuple[str, ...]:
     numbers = np.arange(len(lesson.shown))
     pairs, features = pair_features(lesson.measures, numbers, len(numbers))
-    names = [name for name in features if growth.with_sizes or not is_size(name)]
-    return (*names, *odds_features(None, pairs, len(numbers))) if growth.with_odds else tuple(names)
+    return (*features, *odds_features(None, pairs, len(numbers)))
 
 
 def _features_of(

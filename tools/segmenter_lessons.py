@@ -22,7 +22,6 @@ from tools.evaluation.masks.first_layer import play_first_layer
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_overlaps
 from tools.network_training.frames import Scene, TrueFrame, frames_of_scene
 from tools.network_training.lessons import drawn_camera
-from tools.worlds.clutter.frames import frames_of
 
 _MIN_SHARE = 0.002
 _MIN_PIXELS = 16
@@ -86,22 +85,7 @@ def lessons_of(
     return teacher.lessons
 
 
-def lessons_of_rooms(seed: int, family: str, count: int) -> list[Lesson]:
-    """Return the lessons of `count` images of random rooms of a family, each seen for itself, without a map."""
-    segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)
-    lessons: list[Lesson] = []
-    for i, seen in enumerate(frames_of(seed, family, count)):
-        frame = Frame(
-            index=i, stamp_ns=i, rgb=seen.rgb, depth_m=seen.depth_m, camera=seen.camera,
-            world_from_camera=seen.world_from_camera,
-        )  # fmt: skip
-        things = seen.instances.astype(np.int32)
-        shown = np.where((things == 0) & ~seen.is_structure, UNKNOWN, things).astype(np.int32)
-        lessons += lesson_of_pieces(segmenter.fragments(frame), shown)
-    return lessons
-
-
-def lessons_of_scene(scene: Scene, folder: Path, network: PixelNetwork | None) -> list[Lesson]:
+def lessons_of_scene(scene: Scene, folder: Path, network: PixelNetwork) -> list[Lesson]:
     """Return the lessons of single views of a scene, without a map; rendered if they are not kept in `folder` yet."""
     # Depth has the defects that the scene's own camera has, or those of cameras drawn from its seed.
     segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)

@@ -1,18 +1,15 @@
 """Grow the trees that join fragments into things, from synthetic rooms and their truth.
 
 Each image falls into fragments, and their true owners say which pairs are one thing. Everything is drawn from seeds.
-Needs the optional group `train`, but no torch: the forest `odds` asks the network that is in the package.
+Needs the optional group `train`, but no torch: the network that is in the package is asked for odds.
 """
-# `mixed`: two forests whose log-odds are averaged, one on our apartments and table-tops, with all inputs, and one on
-# random rooms as well, which count as much as these, with inputs that know no sizes. `odds`: also what the network of
-# affinities says of a pair; only scenes that the network was not trained on, for of those it is too sure.
+# Only scenes that the network was not trained on: of those it is too sure.
 
 import argparse
 import hashlib
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,86 +21,43 @@ from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.perception.affinity import pixel_network
 from hickory_stream.perception.affinity.pixel_network import PixelNetwork
-from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.regions.join import JoinConfig, rounds
-from hickory_stream.perception.regions.trees import EMBEDDED, Trees, averaged
+from hickory_stream.perception.regions.trees import EMBEDDED, Trees
 from tools.evaluation.masks.scores import MaskScore, total
 from tools.network_training.scenes import HELD_OUT as HELD_OUT_VIEWS
 from tools.network_training.scenes import Scene, told
-from tools.segmenter_growth import EVERY, Growth, train
-from tools.segmenter_lessons import Lesson, lessons_of, lessons_of_rooms, lessons_of_scene, score_groups, true_groups
+from tools.segmenter_growth import Growth, train
+from tools.segmenter_lessons import Lesson, lessons_of, lessons_of_scene, score_groups, true_groups
 from tools.worlds.cache import cached_recording
 from tools.worlds.recording_config import RecordingConfig
 
-ROOMS = (0, 1)
-"""Seeds of random rooms of the family `training`, `IMAGES` of each, for `mixed`."""
-IMAGES = 300
 LOGS = (
-    *(("apartment", seed, walk) for seed, walk in ((24, 0), (25, 1), (26, 0), (27, 1), (28, 0))),
-    *(("apartment", seed, walk) for seed, walk in ((29, 1), (30, 0), (31, 1), (32, 0))),
-    *(("tabletop", seed, 0) for seed in (33, 34, 35)),
+    *(("apartment", seed, walk) for seed, walk in ((24, 0), (25, 1), (26, 0), (29, 1), (30, 0))),
+    *(("tabletop", seed, 0) for seed in (33, 34)),
 )
 """Scenes, seeds and walks; those of `tools/bench` are others."""
-ODDS_LOGS = tuple(
-    log for log in LOGS if log[:2] not in {("apartment", s) for s in (27, 28, 31, 32)} | {("tabletop", 35)}
-)
-ODDS_VIEWS = (
+VIEWS = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in range(400, 412)),
     *(Scene(kind="tabletop", seed=seed, frames=10) for seed in range(400, 412, 2)),
 )
-ODDS_ROOMS = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(200, 224, 2))
-ODDS_SHARES = (1.0, 0.6, 0.3)
-"""What logs, single views of own rooms, and random rooms weigh in `odds`."""
+ROOMS = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(200, 224, 2))
+SHARES = (1.0, 0.6, 0.3)
+"""What logs, single views of own rooms, and random rooms weigh."""
 RATE_HZ = 1.5
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Grown:
-    """A forest, and what its card tells of how it was grown."""
-
-    trees: Trees
-    told: dict[str, object]
-
-
-def grown_mixed(seed: int, num_trees: int) -> Grown:
-    """Return the mixture of a forest of sizes and of one of shapes."""
-    rooms = [lesson for room in ROOMS for lesson in lessons_of_rooms(room, "training", IMAGES)]
-    logs = [lesson for scene in LOGS for lesson in lessons_of(*recording(*scene))]
-    growth = Growth(seed=seed, num_trees=num_trees)
-    of_sizes, size_pairs = train([logs], growth)
-    of_shapes, shape_pairs = train([rooms, logs[::EVERY]], Growth(seed=seed, num_trees=num_trees, with_sizes=False))
-    return Grown(
-        trees=averaged(of_sizes, of_shapes),
-        told={
-            "trained_on": [
-                *(f"random rooms, family training, seed {room}: {IMAGES} images" for room in ROOMS),
-                *(name_of(*scene) for scene in LOGS),
-            ],
-            "images_per_second": RATE_HZ,
-            "images": [len(rooms), len(logs)],
-            "pairs": {"forest_of_sizes": size_pairs, "forest_of_shapes": shape_pairs},
-        },
-    )
-
-
-def grown_with_odds(seed: int, num_trees: int, network: PixelNetwork, folder: Path) -> Grown:
-    """Return a forest that has the network's odds among its inputs; `folder` keeps rendered views."""
+def grown(seed: int, num_trees: int, network: PixelNetwork, folder: Path) -> tuple[Trees, dict[str, object]]:
+    """Return a forest, and what its card tells of how it was grown; `folder` keeps rendered views."""
     kinds = [
-        [lesson for scene in ODDS_LOGS for lesson in lessons_of(*recording(*scene), network=network)],
-        _lessons_of_views(ODDS_VIEWS, folder, network),
-        _lessons_of_views(ODDS_ROOMS, folder, network),
+        [lesson for scene in LOGS for lesson in lessons_of(*recording(*scene), network=network)],
+        _lessons_of_views(VIEWS, folder, network),
+        _lessons_of_views(ROOMS, folder, network),
     ]
-    trees, num_pairs = train(kinds, Growth(seed=seed, num_trees=num_trees, with_odds=True), ODDS_SHARES)
-    return Grown(
-        trees=trees,
-        told={
-            "trained_on": {
-                "logs": [name_of(*scene) for scene in ODDS_LOGS], "views": told(ODDS_VIEWS), "rooms": told(ODDS_ROOMS),
-            },
-            "images_per_second": RATE_HZ, "images": [len(kind) for kind in kinds], "shares": ODDS_SHARES,
-            "pairs": num_pairs,
-        },
-    )  # fmt: skip
+    trees, num_pairs = train(kinds, Growth(seed=seed, num_trees=num_trees), SHARES)
+    return trees, {
+        "trained_on": {"logs": [name_of(*scene) for scene in LOGS], "views": told(VIEWS), "rooms": told(ROOMS)},
+        "images_per_second": RATE_HZ, "images": [len(kind) for kind in kinds], "shares": SHARES, "pairs": num_pairs,
+    }  # fmt: skip
 
 
 def _lessons_of_views(scenes: Sequence[Scene], folder: Path, network: PixelNetwork) -> list[Lesson]:
@@ -124,42 +78,35 @@ def name_of(scene: str, seed: int, walk: int) -> str:
 
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"
-HELD_OUT = (("apartment", 38, 0), ("tabletop", 40, 0))
-"""Scenes, seeds and walks; those of `tools/bench` are others."""
-_TREES = {"mixed": 120, "odds": 160}
+HELD_OUT = ("apartment", 38, 0)
+"""Scene, seed and walk; those of `tools/bench` are others."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tools/train_segmenter", description=__doc__)
-    parser.add_argument("--forest", choices=_TREES, default="odds", help="which one; that of sizes is older than this")
-    parser.add_argument("--out", type=Path, default=(_PACKAGE / EMBEDDED["odds"]).parent, help="folder of trees, card")
+    parser.add_argument("--out", type=Path, default=(_PACKAGE / EMBEDDED).parent, help="folder of trees, card")
     parser.add_argument("--seed", type=int, default=0, help="draws the partial joins and the growth of the trees")
-    parser.add_argument("--trees", type=int, help="how many are grown")
+    parser.add_argument("--trees", type=int, default=Growth().num_trees, help="how many are grown")
     parser.add_argument(
         "--frames", type=Path, help="folder of rendered views; by default beside the caches, not capped"
     )
     options = parser.parse_args(arguments)
     frames = options.frames or cache_root() / "network-frames"
-    num_trees = options.trees or _TREES[options.forest]
-    network = PixelNetwork() if options.forest == "odds" else None
+    network, join = PixelNetwork(), JoinConfig()
     started_s = time.process_time()
-    if network is None:
-        grown, join = grown_mixed(options.seed, num_trees), JoinConfig(probability=0.5)
-    else:
-        grown = grown_with_odds(options.seed, num_trees, network, frames)
-        join = JoinConfig(probability=NetworkJoinConfig().learned_probability)
+    trees, history = grown(options.seed, options.trees, network, frames)
     options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / Path(EMBEDDED[options.forest]).name
-    grown.trees.save(path)
+    path = options.out / Path(EMBEDDED).name
+    trees.save(path)
     card = {
         "what": "Boosted trees: the probability that two groups of fragments of an RGB-D frame are one thing.",
-        "made_by": f"tools/train_segmenter --forest {options.forest} --seed {options.seed} --trees {num_trees}",
+        "made_by": f"tools/train_segmenter --seed {options.seed} --trees {options.trees}",
         "licence": "Apache-2.0, as the project: grown on scenes of its own generators alone, no data of others",
         "scikit_learn": sklearn.__version__,
-        **({} if network is None else {"network_sha256": _digest(_PACKAGE / pixel_network.EMBEDDED)}), **grown.told,
-        "trees": len(grown.trees.roots), "inputs": len(grown.trees.features), "bytes": path.stat().st_size,
+        "network_sha256": _digest(_PACKAGE / pixel_network.EMBEDDED), **history,
+        "trees": len(trees.roots), "inputs": len(trees.features), "bytes": path.stat().st_size,
         "held_out_from_probability": join.probability,
-        "held_out": {name: _scores(lessons, grown.trees, join) for name, lessons in _held_out(network, frames).items()},
+        "held_out": {name: _scores(lessons, trees, join) for name, lessons in _held_out(network, frames).items()},
         "processor_minutes": round((time.process_time() - started_s) / 60, 1),
     }  # fmt: skip
     text = dumps_exactly(card, indent=2)
@@ -168,9 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _held_out(network: PixelNetwork | None, frames: Path) -> dict[str, list[Lesson]]:
-    scenes = HELD_OUT if network is None else HELD_OUT[:1]
-    logs = {name_of(*scene): lessons_of(*recording(*scene), network=network) for scene in scenes}
+def _held_out(network: PixelNetwork, frames: Path) -> dict[str, list[Lesson]]:
+    logs = {name_of(*HELD_OUT): lessons_of(*recording(*HELD_OUT), network=network)}
     return logs | {scene.name: lessons_of_scene(scene, frames, network) for scene in HELD_OUT_VIEWS}
 
 

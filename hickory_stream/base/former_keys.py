@@ -70,6 +70,8 @@ FORMER_KEYS = {
         ),
         _LEARNED,
     ),
+    "perception.affinities.learned_probability": "set perception.geometric.join.probability",
+    "perception.geometric.join.forest": "one forest joins fragments, with the network's odds or without",
     "perception.affinities.odds_shift": _LEARNED,
     "perception.affinities.split.odds_shift": _LEARNED,
     "perception.affinities.structure_odds": _GEOMETRY,

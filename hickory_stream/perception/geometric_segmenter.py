@@ -52,7 +52,7 @@ class GeometricSegmenter:
 
     def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
         self._config = config
-        self._trees = trees or embedded_trees(config.join.forest)
+        self._trees = trees or embedded_trees()
 
     def prepare(self, frame: Frame) -> Surface:
         """Return the surface of a frame: the slowest part of segmentation, which needs no map."""

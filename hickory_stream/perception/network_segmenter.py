@@ -36,8 +36,6 @@ def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.flo
 class NetworkJoinConfig(Ranged):
     """How the network's log-odds are used."""
 
-    #: Minimum probability for a merge by the trees that use the network's odds (forest `odds`).
-    learned_probability: float = number(0.35, 0, 1, "probability")
     #: Added to the log-odds that a mask is part of the room; lower values reject fewer masks, -8 none.
     structure_shift: float = number(-1.0, -8, 8, "log-odds")
 
@@ -58,8 +56,8 @@ class NetworkSegmenter:
     ) -> None:
         self._network = network
         self._config = config
-        self._join = replace(geometric.join, forest="odds", probability=config.learned_probability)
-        self._trees = trees or embedded_trees(self._join.forest)
+        self._join = geometric.join
+        self._trees = trees or embedded_trees()
         self._geometric = GeometricSegmenter(geometric, self._trees)
 
     def prepare(self, frame: Frame) -> Prepared:

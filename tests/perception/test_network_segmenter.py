@@ -76,17 +76,16 @@ def test_two_boxes_apart_are_two_instances(two_boxes):
 
 def test_trained_trees_ask_the_network_by_their_probability(two_boxes):
     frame, _ = two_boxes
-    config = NetworkJoinConfig(learned_probability=0.4)
     asked = Asked()
-    NetworkSegmenter(Said(even()), config, GeometricConfig(), asked).segment(frame)
+    geometric = GeometricConfig(join=JoinConfig(probability=0.4))
+    NetworkSegmenter(Said(even()), NetworkJoinConfig(), geometric, asked).segment(frame)
     assert set(ODDS_FEATURES) <= set(asked.inputs)
     assert (asked.inputs["odds_near"][np.isfinite(asked.inputs["odds_near"])] == 0).all()
 
 
 def test_trees_that_have_learned_join_without_a_network_too(two_boxes):
     frame, shown = two_boxes
-    join = JoinConfig(forest="odds", probability=NetworkJoinConfig().learned_probability)
-    result = GeometricSegmenter(GeometricConfig(join=join)).segment(frame)
+    result = GeometricSegmenter(GeometricConfig()).segment(frame)
     assert min(best_iou(result.instances, shown == i)[0] for i in (1, 2)) > 0.8
 
 

@@ -4,7 +4,8 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import contains, keys_of_points
-from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.choose import make_segmenter
+from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, MapPrior, ObservedSpace
 from tests.perception.perception_scenes import CAMERA, Block, Cylinder, best_iou, floor, looking, render
@@ -13,8 +14,8 @@ VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 RED, BLUE, GREEN, WOOD, WHITE = (190, 40, 40), (40, 60, 190), (40, 150, 60), (170, 130, 80), (225, 225, 220)
 
 
-def segment(frame):
-    return GeometricSegmenter(GeometricConfig()).segment(frame)
+def segment(frame, prior=None):
+    return make_segmenter(PerceptionConfig()).segment(frame, prior)
 
 
 def test_a_box_on_a_floor_is_one_instance():
@@ -34,7 +35,7 @@ def test_known_structure_is_structure_and_no_new_evidence():
     keys = np.unique(keys_of_points(points, 0.05))
     space = ObservedSpace(voxel_m=0.05, free=keys[:0], structure=keys, floor_z_m=0.0)
     prior = MapPrior(space=space, objects=(), points_m=0.02)
-    result = GeometricSegmenter(GeometricConfig()).segment(frame, prior)
+    result = segment(frame, prior)
     assert result.structure[shown == 1].mean() > 0.9
     assert result.structure_shown[shown == 1].mean() < 0.1
     space = observe_space(frame, result, SpaceConfig(), Lattice())

@@ -3,14 +3,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from tests.strategies import seeds
 from tools.evaluation.masks.scores import score_masks
-from tools.segmenter_lessons import Lesson, lessons_of_rooms, score_groups, true_groups
+from tools.network_training.scenes import Scene
+from tools.segmenter_lessons import Lesson, lessons_of_scene, score_groups, true_groups
 
 
 @pytest.fixture(scope="module")
-def lessons():
-    return lessons_of_rooms(0, "training", 2)
+def lessons(tmp_path_factory):
+    scene = Scene(kind="clutter-training", seed=0, frames=2)
+    return lessons_of_scene(scene, tmp_path_factory.mktemp("views"), PixelNetwork())
 
 
 def lesson_of(labels, truth):

@@ -12,9 +12,6 @@ from hickory_stream.perception.regions.features import Features, of_both, table
 from hickory_stream.perception.regions.ordered_pairs import OrderedPairs
 
 _FAR_M = 0.3
-_UNITS = ("_m", "_m2", "_m3")
-_OTHERS = ("_pixels", "_members", "_light", "_chroma")
-_COUNTS = ("touch", "bridged_level", "bridged_upright")
 _OF_REGIONS = (
     *("pixels", "area_m2", "depth_m", "width_m", "thickness_m", "breadth_m", "length_m", "members", "light", "chroma"),
     *("height_m", "low_m", "high_m"),
@@ -25,11 +22,6 @@ _OF_PAIRS = (
     *("joined_breadth_m", "thicker_m", "touch", "seam_step_m", "seam_width_m", "seam_height_m", "gap_m"),
     *("bridged_level", "bridged_upright"),
 )
-
-
-def is_size(name: str) -> bool:
-    """Return whether a feature of this name is one of `absolute_features`."""
-    return name.endswith((*_UNITS, *_OTHERS)) or name in _COUNTS
 
 
 def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:

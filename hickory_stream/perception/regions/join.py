@@ -23,10 +23,7 @@ from hickory_stream.perception.regions.occlusion_bridging import is_bridged
 from hickory_stream.perception.regions.odds_features import odds_features
 from hickory_stream.perception.regions.pair_features import pair_features
 from hickory_stream.perception.regions.region_graph import RegionGraph, build_region_graph
-from hickory_stream.perception.regions.trees import (
-    Forest,
-    Trees,
-)
+from hickory_stream.perception.regions.trees import Trees
 
 # Maximum number of rounds.
 _MAX_ROUNDS = 12
@@ -40,10 +37,8 @@ _GAP_M = 0.2
 class JoinConfig(Ranged):
     """How fragments are merged."""
 
-    #: The trees that rate pairs; `mixed`, from a `probability` of 0.5, finds fewer objects and fewer false ones.
-    forest: Forest = "sizes"
-    #: Minimum probability for a merge; above 0.5, since the map repairs over-segmentation more easily.
-    probability: float = number(0.65, 0, 1, "probability")
+    #: Minimum probability for a merge.
+    probability: float = number(0.35, 0, 1, "probability")
     #: How the objects of the map lower the probability of a merge.
     map_prior: MapPriorConfig = field(default_factory=MapPriorConfig)
 

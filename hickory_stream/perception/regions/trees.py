@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,7 @@ from hickory_stream.errors import ModelError
 from hickory_stream.geometry import portable
 from hickory_stream.perception.regions.features import Features
 
-# `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with a forest of relative features
-# (ratios, sigmas, angles) alone; `odds` also uses the features of the affinity network, which may be NaN.
-Forest = Literal["sizes", "mixed", "odds"]
-_WEIGHTS: dict[Forest, str] = {"sizes": "join", "mixed": "join_mixed", "odds": "join_odds"}
-EMBEDDED: dict[Forest, str] = {forest: f"weights/{name}.npz" for forest, name in _WEIGHTS.items()}
+EMBEDDED = "weights/join.npz"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -61,36 +56,13 @@ class Trees:
         np.savez_compressed(path, features=np.array(self.features), baseline=np.array(self.baseline), **arrays)
 
 
-def averaged(one: Trees, other: Trees) -> Trees:
-    """Return trees whose log-odds are the mean of two forests'; their inputs may differ."""
-    names = tuple(dict.fromkeys((*one.features, *other.features)))
-    forests, shift = [], 0
-    for trees in (one, other):
-        number = np.array([names.index(name) for name in trees.features], dtype=np.int16)
-        is_leaf = trees.feature < 0
-        forests.append(
-            {
-                "roots": trees.roots + np.int32(shift),
-                "feature": np.where(is_leaf, np.int16(-1), number[trees.feature]),
-                "threshold": trees.threshold,
-                "left": trees.left + np.int32(shift),
-                "right": trees.right + np.int32(shift),
-                "nan_left": trees.nan_left,
-                "value": trees.value / np.float32(2),
-            }
-        )
-        shift += len(trees.feature)
-    joined = {name: np.concatenate([forest[name] for forest in forests]) for name in _ARRAYS}
-    return Trees(features=names, baseline=(one.baseline + other.baseline) / 2, **joined)
-
-
 _ARRAYS = ("roots", "feature", "threshold", "left", "right", "nan_left", "value")
 
 
 @cache
-def embedded_trees(forest: Forest = "sizes") -> Trees:
-    """Return trees that come with the package."""
-    with resources.as_file(resources.files("hickory_stream.perception").joinpath(EMBEDDED[forest])) as path:
+def embedded_trees() -> Trees:
+    """Return the trees that come with the package; features of the affinity network may be NaN."""
+    with resources.as_file(resources.files("hickory_stream.perception").joinpath(EMBEDDED)) as path:
         return load_trees(path)
 
 

@@ -2,7 +2,7 @@ import dataclasses
 import numpy as np
 import pytest
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.regions.trees import EMBEDDED, Trees, averaged, embedded_trees, load_trees
+from hickory_stream.perception.regions.trees import EMBEDDED, Trees, embedded_trees, load_trees
 
 # One tree: width <= 2 (or unknown) gives -1; else gap <= 0.1 gives 2, else 0.5. Another is a single leaf of 0.25.
 TREES = Trees(
@@ -28,20 +28,6 @@ def test_no_pairs_have_no_probabilities():
     assert TREES.probabilities({name: values[:0] for name, values in INPUTS.items()}).shape == (0,)
 
 
-def test_averaged_forests_have_the_mean_of_their_log_odds(tmp_path):
-    other = dataclasses.replace(TREES, features=("width", "depth"), baseline=-1.0)
-    inputs = {**INPUTS, "depth": np.array([1.0, 5.0, np.nan, 0.0, 2.5, 3.0])}
-    both = averaged(TREES, other)
-    both.save(tmp_path / "trees.npz")
-    assert set(both.features) == {"gap", "width", "depth"}
-
-    def odds(trees):
-        shares = trees.probabilities(inputs)
-        return np.log(shares / (1 - shares))
-
-    assert odds(load_trees(tmp_path / "trees.npz")) == pytest.approx((odds(TREES) + odds(other)) / 2)
-
-
 def test_saved_trees_are_loaded_as_they_were(tmp_path):
     path = tmp_path / "trees.npz"
     TREES.save(path)
@@ -50,10 +36,9 @@ def test_saved_trees_are_loaded_as_they_were(tmp_path):
     np.testing.assert_array_equal(loaded.probabilities(INPUTS), TREES.probabilities(INPUTS))
 
 
-@pytest.mark.parametrize(("forest", "file"), EMBEDDED.items())
-def test_the_trees_of_the_package_are_whole_and_small(request, forest, file):
-    assert len(embedded_trees(forest).roots) >= 50
-    path = request.config.rootpath / "hickory_stream" / "perception" / file
+def test_the_trees_of_the_package_are_whole_and_small(request):
+    assert len(embedded_trees().roots) >= 50
+    path = request.config.rootpath / "hickory_stream" / "perception" / EMBEDDED
     assert path.stat().st_size < 8e6
 
 
