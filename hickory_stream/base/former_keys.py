@@ -39,6 +39,7 @@ FORMER_KEYS = {
     "mapping.split.min_apart": f"{_TIME} mapping.split.min_apart_s",
     "perception.geometric.surface.max_depth_m": _SENSOR,
     "perception.observe.max_depth_m": _SENSOR,
+    **dict.fromkeys(("perception.observe.min_depth_m", "perception.geometric.surface.min_depth_m"), "set sensor.min_m"),
     "perception.space.max_depth_m": "free space reaches as far as depth is sure to a voxel",
     "perception.observe.max_box_m": _KINDS,
     "perception.geometric.max_extent_m": _KINDS,

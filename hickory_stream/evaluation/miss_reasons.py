@@ -23,7 +23,6 @@ from hickory_stream.mapping.rules.lifecycle import LONGEST_NS
 MissReason = Literal[
     "out of reach",
     "too small in the image",
-    "outside the depth range",
     "no depth",
     "taken for structure",
     "in no mask",
@@ -40,7 +39,6 @@ MissReason = Literal[
 MISS_REASONS: dict[MissReason, str] = {
     "out of reach": "fewer than three keyframes have depth on it: no map can have it",
     "too small in the image": "too few keyframes for a track show it larger than the smallest 2 % of the run's masks",
-    "outside the depth range": "in most keyframes its distance is outside the range of observations",
     "no depth": "most keyframes have no depth on it",
     "taken for structure": "most keyframes label it as floor, wall or ceiling",
     "in no mask": "most keyframes have depth on it, but label it neither as structure nor as part of a mask",
@@ -60,7 +58,6 @@ State = Literal[
     "in pieces",
     "taken for structure",
     "mask rejected",
-    "outside the depth range",
     "without depth",
     "in no mask",
 ]
@@ -69,7 +66,6 @@ _REASON_OF: dict[State, MissReason] = {
     "in pieces": "in pieces",
     "taken for structure": "taken for structure",
     "mask rejected": "mask rejected",
-    "outside the depth range": "outside the depth range",
     "without depth": "no depth",
     "in no mask": "in no mask",
 }
@@ -130,7 +126,6 @@ def state_of(sighting: Sighting) -> State:
     shares: dict[State, float] = {
         "taken for structure": sighting.share("structure"),
         "mask rejected": sighting.share("rejected mask"),
-        "outside the depth range": sighting.share("too near"),
         "without depth": sighting.share("no depth"),
         "in no mask": sighting.share("no mask"),
     }
@@ -306,9 +301,6 @@ def _detail(state: State, shown: Sequence[Sighting], evidence: Evidence) -> str:
         return f"there {share:.0%} of its pixels are taken for floor, wall or ceiling"
     if state == "mask rejected":
         return f"most often: {_most_pixels('rejected mask', shown)}"
-    if state == "outside the depth range":
-        near, far = (f([s.distance_m for s in shown]) for f in (min, max))
-        return f"its middle is {near:.1f} to {far:.1f} m away there"
     if state == "in one mask with another":
         names: Counter[str] = Counter()
         tracks: Counter[int] = Counter()

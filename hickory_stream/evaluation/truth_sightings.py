@@ -17,11 +17,9 @@ from hickory_stream.inspection.keyframe_labels import (
     SeenAs,
     Where,
     area_px,
-    nearest_m_of,
     seen_as,
 )
 from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorded_steps
-from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import MapSnapshot
 
@@ -94,7 +92,6 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
 
     Raises `MapFolderError` for the journal, `RecordingError` for an image of the truth.
     """
-    nearest_m = nearest_m_of(known_config(path))
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: middle(truth, item) for item in truth.objects}
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
@@ -113,7 +110,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
             continue
         shown = _shown(truth, at, found)
         depth_on.update(reached_in(keyframe, shown))
-        labels = seen_as(keyframe, nearest_m)
+        labels = seen_as(keyframe)
         codes = np.asarray(labels.codes)
         camera_from_map = invert(keyframe.map_from_odometry @ keyframe.observed.world_from_camera)
         table = _table(shown, codes)

@@ -42,7 +42,7 @@ class DepthSensor(Ranged):
     noise_m: float = number(0.0, 0, 1, "m")
     floor_m: float = number(0.001, 0, 1, "m")
     step_per_m: float = number(0.0, 0, 1, "1/m")
-    min_m: float = number(0.0, 0, 100, "m")
+    min_m: float = number(0.2, 0, 100, "m")
     max_m: float = number(_FAR_M, 0.01, 1e4, "m")
     edge_rad: float = number(0.0045, 0, 1, "rad")
     bias_m: float = number(0.0, -1, 1, "m")

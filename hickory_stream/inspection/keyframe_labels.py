@@ -16,21 +16,19 @@ from hickory_stream.perception.coarse import enlarged_cells
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.config import MapperConfig
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.map_folder.history.recorded import RecordedKeyframe
     from hickory_stream.records import CoarseFrame, Observation
 
-Where = Literal["mask", "rejected mask", "structure", "no depth", "too near", "no mask"]
+Where = Literal["mask", "rejected mask", "structure", "no depth", "no mask"]
 
-NO_MASK, STRUCTURE, NO_DEPTH, TOO_NEAR = 0, -1, -2, -3
+NO_MASK, STRUCTURE, NO_DEPTH = 0, -1, -2
 _WHERE: dict[int, Where] = {
     NO_MASK: "no mask",
     STRUCTURE: "structure",
     NO_DEPTH: "no depth",
-    TOO_NEAR: "too near",
 }
-LEAST_CODE = TOO_NEAR
+LEAST_CODE = NO_DEPTH
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -58,15 +56,10 @@ def where_of(code: int, num_masks: int) -> Where:
     return "mask" if code > 0 else _WHERE[code]
 
 
-def nearest_m_of(config: MapperConfig) -> float:
-    """Return the depth from which on observations are made."""
-    return config.perception.observe.min_depth_m
-
-
-def seen_as(keyframe: RecordedKeyframe, nearest_m: float) -> SeenAs:
+def seen_as(keyframe: RecordedKeyframe) -> SeenAs:
     """Return the label of each pixel of a keyframe; raises `MapFolderError` if the journal has no depth of it."""
     observed, camera, coarse = keyframe.observed, keyframe.camera, keyframe.coarse
-    codes = enlarged_cells(_codes_of_cells(coarse, nearest_m), coarse.stride_px, (camera.width, camera.height)).copy()
+    codes = enlarged_cells(_codes_of_cells(coarse), coarse.stride_px, (camera.width, camera.height)).copy()
     count = len(observed.observations)
     for i, rejected in reversed(list(enumerate(observed.rejected))):
         x0, y0, x1, y1 = rejected.box_px
@@ -79,7 +72,7 @@ def seen_as(keyframe: RecordedKeyframe, nearest_m: float) -> SeenAs:
     return SeenAs(codes=codes, num_masks=count)
 
 
-def code_at(keyframe: RecordedKeyframe, pixel: tuple[float, float], nearest_m: float) -> int:
+def code_at(keyframe: RecordedKeyframe, pixel: tuple[float, float]) -> int:
     """Return the code of one pixel (column, row) of a keyframe, the same as in `seen_as`."""
     observed = keyframe.observed
     column, row = round(pixel[0]), round(pixel[1])
@@ -87,15 +80,13 @@ def code_at(keyframe: RecordedKeyframe, pixel: tuple[float, float], nearest_m: f
     for i, ((x0, y0, x1, y1), mask) in enumerate(masks):
         if mask is not None and x0 <= column < x1 and y0 <= row < y1 and mask[row - y0, column - x0]:
             return i + 1
-    cells, stride = _codes_of_cells(keyframe.coarse, nearest_m), keyframe.coarse.stride_px
+    cells, stride = _codes_of_cells(keyframe.coarse), keyframe.coarse.stride_px
     return int(cells[min(row // stride, len(cells) - 1), min(column // stride, cells.shape[1] - 1)])
 
 
-def _codes_of_cells(coarse: CoarseFrame, nearest_m: float) -> NDArray[np.int32]:
+def _codes_of_cells(coarse: CoarseFrame) -> NDArray[np.int32]:
     cells = np.where(coarse.structure, STRUCTURE, NO_MASK).astype(np.int32)
-    depth_m = coarse.depth_mm / 1000.0
     cells[coarse.depth_mm == 0] = NO_DEPTH
-    cells[(depth_m < nearest_m) & (coarse.depth_mm > 0)] = TOO_NEAR
     return cells
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera, project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.inspection.keyframe_labels import code_at, nearest_m_of, rays_of
+from hickory_stream.inspection.keyframe_labels import code_at, rays_of
 from hickory_stream.inspection.point_history import AskedPixel, PlaceStory, story_of_point
 from hickory_stream.inspection.point_sighting import meaning_of_code
 from hickory_stream.map_folder.history.recorded import (
@@ -24,7 +24,6 @@ from hickory_stream.map_folder.history.recorded import (
     frame_pose,
     recorded_steps,
 )
-from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.perception.coarse import cells_of
 
@@ -96,7 +95,7 @@ def story_of_pixel(
 def _story_of_keyframe_pixel(
     path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None
 ) -> PlaceStory:
-    final, config = final_snapshot(path), known_config(path)
+    final = final_snapshot(path)
     book = TrackHistories()
     # Of a frame that was played several times, the last playback counts.
     keyframe: RecordedKeyframe | None = None
@@ -107,7 +106,7 @@ def _story_of_keyframe_pixel(
             keyframe = seen
     assert keyframe is not None
     check_pixel(pixel, keyframe.camera)
-    code = code_at(keyframe, pixel, nearest_m_of(config))
+    code = code_at(keyframe, pixel)
     _, _, text = meaning_of_code(keyframe, code, book)
     asked = AskedPixel(frame=frame, pixel=pixel, text=text)
     point = place_in_keyframe(keyframe, pixel, code)

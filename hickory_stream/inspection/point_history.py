@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from hickory_stream.inspection.point_sighting import AT_M, PlaceSighting, PlaceWhere, sighting_of
 from hickory_stream.inspection.track_history import Stretch, TrackStory, ending_text, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot, recorded_steps
-from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import MapSnapshot, ObjectKind, Phase, kind_text
 
@@ -22,7 +21,6 @@ _IN_WORDS: dict[PlaceWhere, str] = {
     "rejected mask": "mask rejected",
     "structure": "taken for structure",
     "no depth": "no depth",
-    "too near": "too near",
     "no mask": "in no mask",
     "hidden": "hidden",
     "looked through": "looked through",
@@ -71,7 +69,7 @@ class PlaceStory:
 
 def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel | None = None) -> PlaceStory:
     """Return the history of a point (3,) of the map's world; raises `MapFolderError` for the map or its journal."""
-    final, config = final_snapshot(path), known_config(path)
+    final = final_snapshot(path)
     book, sightings, floor_changes, num_keyframes = TrackHistories(), [], [], 0
     for step in recorded_steps(path, final):
         keyframe = step.keyframe
@@ -80,7 +78,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
             num_keyframes += 1
             changes = [decision.text for decision in step.decisions if decision.kind == "floor"]
             floor_changes += [f"frame {keyframe.observed.frame_index}: {text}" for text in changes]
-            sighting = sighting_of(keyframe, point_map, config, book)
+            sighting = sighting_of(keyframe, point_map, book)
             if sighting is not None:
                 sightings.append(sighting)
     there = _objects_at(final, point_map)

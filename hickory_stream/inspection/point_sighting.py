@@ -15,7 +15,6 @@ from hickory_stream.inspection.keyframe_labels import (
     STRUCTURE,
     Where,
     code_at,
-    nearest_m_of,
     where_of,
 )
 from hickory_stream.perception.coarse import cells_of
@@ -23,7 +22,6 @@ from hickory_stream.perception.coarse import cells_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.config import MapperConfig
     from hickory_stream.map_folder.history.recorded import RecordedKeyframe
     from hickory_stream.map_folder.history.track_histories import TrackHistories
     from hickory_stream.records import Observation
@@ -58,7 +56,7 @@ class PlaceSighting:
 
 
 def sighting_of(
-    keyframe: RecordedKeyframe, point_map: NDArray[np.float64], config: MapperConfig, book: TrackHistories
+    keyframe: RecordedKeyframe, point_map: NDArray[np.float64], book: TrackHistories
 ) -> PlaceSighting | None:
     """Return the label of a point in a keyframe, None if it is not in the image."""
     observed, camera = keyframe.observed, keyframe.camera
@@ -67,7 +65,7 @@ def sighting_of(
     ((u, v),) = project(in_camera, camera).tolist()
     if not (-0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5):
         return None
-    where, index, text = _taken_for(keyframe, point, (u, v), float(in_camera[0, 2]), config, book)
+    where, index, text = _taken_for(keyframe, point, (u, v), float(in_camera[0, 2]), book)
     return PlaceSighting(
         frame=observed.frame_index,
         keyframe=keyframe.number,
@@ -89,8 +87,7 @@ def meaning_of_code(keyframe: RecordedKeyframe, code: int, book: TrackHistories)
         return where, code - 1, _mask_text(keyframe, code - 1, book)
     if where == "rejected mask":
         return where, None, f"its mask was rejected: {keyframe.observed.rejected[code - count - 1].reason}"
-    texts = {STRUCTURE: "taken for structure", NO_MASK: "in no mask", NO_DEPTH: "no depth there"}
-    return where, None, texts.get(code, f"{where} to be observed")
+    return where, None, {STRUCTURE: "taken for structure", NO_MASK: "in no mask", NO_DEPTH: "no depth there"}[code]
 
 
 def _taken_for(
@@ -98,7 +95,6 @@ def _taken_for(
     point: NDArray[np.float64],
     pixel: tuple[float, float],
     depth_m: float,
-    config: MapperConfig,
     book: TrackHistories,
 ) -> tuple[PlaceWhere, int | None, str]:
     """Return the label of a point (1, 3) in the odometry's world, the index of its observation, and both in words."""
@@ -107,7 +103,7 @@ def _taken_for(
     index = _nearest_observation(observed.observations, point, min(noise_m, 2 * AT_M))
     if index is not None:
         return "mask", index, _mask_text(keyframe, index, book)
-    code = code_at(keyframe, pixel, nearest_m_of(config))
+    code = code_at(keyframe, pixel)
     where, seen_there = where_of(code, len(observed.observations)), meaning_of_code(keyframe, code, book)
     measured_m = float(cells_of(keyframe.coarse, np.array([pixel]).round())[0][0])
     if not np.isfinite(measured_m):

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
@@ -41,23 +40,15 @@ _RIM_PX, _WIDE_PX = 3, 48
 _BESIDE_PX = 600
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ObserveConfig(Ranged):
-    """How masks are lifted."""
-
-    #: Nearer returns are not reliable.
-    min_depth_m: float = number(0.2, 0, 100, "m")
-
-
 def observe(
-    frame: Frame, segmentation: Segmentation, config: ObserveConfig, lattice: Lattice
+    frame: Frame, segmentation: Segmentation, lattice: Lattice
 ) -> tuple[tuple[Observation, ...], tuple[RejectedMask, ...]]:
     """Return the observations of a frame in the order of their labels, and the rejected masks with reasons."""
     observations: list[Observation] = []
     rejected: list[RejectedMask] = list(segmentation.rejected)
     alone = segmentation.alone
     for box_px, mask in _masks(segmentation.instances):
-        lifted = _lift(frame, box_px, mask, config, lattice.object_m)
+        lifted = _lift(frame, box_px, mask, lattice.object_m)
         if isinstance(lifted, str):
             rejected.append(RejectedMask(box_px=box_px, reason=lifted, mask=mask))
             continue
@@ -102,9 +93,7 @@ class _Lifted:
     returns: Returns | None
 
 
-def _lift(
-    frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig, voxel_m: float
-) -> _Lifted | str:
+def _lift(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], voxel_m: float) -> _Lifted | str:
     # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
@@ -115,7 +104,6 @@ def _lift(
         mask,
         _with_support(depth, _agreeing(depth, mask, frame), frame.sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS),
         *rays_of(camera),
-        np.float32(config.min_depth_m),
     )
     if len(points) == 0:
         return "no reliable depth in the mask"
@@ -219,7 +207,7 @@ def checksum_of(points: NDArray[np.float32], world_from_camera: NDArray[np.float
 
 
 @kernel
-def _returns(depth, rgb, mask, inner, u, v, nearest):
+def _returns(depth, rgb, mask, inner, u, v):
     # (N, 3) camera-frame points and colours of reliable depth in `inner`; (h, w) depth in millimetres, 0 elsewhere;
     # whether all is in whole ones; the number in `mask`. `u` (w,) and `v` (h,): `rays_of`.
     height, width = mask.shape
@@ -229,7 +217,7 @@ def _returns(depth, rgb, mask, inner, u, v, nearest):
     for y in range(height):
         for x in range(width):
             z = depth[y, x]
-            if mask[y, x] and z >= nearest:
+            if mask[y, x] and z > 0:
                 num_reliable += 1
                 if inner[y, x]:
                     points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z

@@ -20,7 +20,7 @@ from hickory_stream.perception.models.network import NetworkConfig
 from hickory_stream.perception.models.sam import SamConfig
 from hickory_stream.perception.models.semantic_graph import SemanticConfig
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
-from hickory_stream.perception.observe import ObserveConfig, observe
+from hickory_stream.perception.observe import observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.ports import FeatureExtractor, Segmenter
 from hickory_stream.records import (
@@ -56,7 +56,6 @@ class PerceptionConfig:
     sam: SamConfig = field(default_factory=SamConfig)
     dinov2: DinoConfig = field(default_factory=DinoConfig)
     semantic: SemanticConfig = field(default_factory=SemanticConfig)
-    observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
 
     @property
@@ -109,7 +108,7 @@ def perceive(
     `prepared`, `free_keys`: results of the segmenter's `prepare` and of `free_space`, None if they were not called.
     """
     segmentation = segmenter.segment(frame, prior, prepared)
-    observations, rejected = observe(frame, segmentation, config.observe, lattice)
+    observations, rejected = observe(frame, segmentation, lattice)
     return Perceived(
         segmentation=segmentation,
         observations=observations,

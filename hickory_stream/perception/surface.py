@@ -31,8 +31,6 @@ class SurfaceConfig(Ranged):
 
     #: Width at which frames are segmented; larger frames are reduced by a whole factor.
     width_px: int = number(320, 32, 8192, "px")
-    #: Nearer returns are ignored.
-    min_depth_m: float = number(0.2, 0, 100, "m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -65,7 +63,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         cx=(frame.camera.cx + 0.5) / factor - 0.5,
         cy=(frame.camera.cy + 0.5) / factor - 0.5,
     )
-    depth = _without_flying_pixels(_reduce_depth(frame.depth_m, factor, height, width, config.min_depth_m))
+    depth = _without_flying_pixels(_reduce_depth(frame.depth_m, factor, height, width))
     rgb = frame.rgb[: height * factor, : width * factor]
     if factor > 1:
         rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
@@ -100,17 +98,15 @@ def moved_surface(surface: Surface, world_from_camera: NDArray[np.float64]) -> S
     )
 
 
-def _reduce_depth(
-    depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float
-) -> NDArray[np.float32]:
+def _reduce_depth(depth: NDArray[np.float32], factor: int, height: int, width: int) -> NDArray[np.float32]:
     # The lower median of valid depths of a block is a measured depth, and thin objects survive.
     out = np.empty((height, width), np.float32)
-    _reduce(read_only(depth), factor, float(nearest_m), _sorting_network(factor * factor), out)
+    _reduce(read_only(depth), factor, _sorting_network(factor * factor), out)
     return out
 
 
 @kernel
-def _reduce(depth, factor, nearest_m, pairs, out):
+def _reduce(depth, factor, pairs, out):
     # `pairs` (N, 2) in turn put the depths of a block in order; loops over a row are vectorised.
     width, count = out.shape[1], factor * factor
     ranked = np.empty((count, width), np.float32)
@@ -119,7 +115,7 @@ def _reduce(depth, factor, nearest_m, pairs, out):
             row = depth[y * factor + i // factor]
             for x in range(width):
                 value = row[x * factor + i % factor]
-                ranked[i, x] = value if np.float64(value) >= nearest_m else np.float32(np.inf)
+                ranked[i, x] = value if value > 0 else np.float32(np.inf)
         for pair in pairs:
             low, high = ranked[pair[0]], ranked[pair[1]]
             for x in range(width):

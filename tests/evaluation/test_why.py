@@ -93,7 +93,6 @@ CASES = {
         (),
         "98 % of the masks have 100 pixels and more, it has that in 0 of 6 keyframes, at most 40",
     ),
-    "outside the depth range": (five(Part(where="too near", share=0.9)), (), "2.5 to 2.5 m away"),
     "no depth": (five(Part(where="no depth", share=0.9)), (), "5 without depth"),
     "taken for structure": (
         five(Part(where="structure", share=0.8)),
@@ -188,7 +187,7 @@ def test_three_sightings_can_be_enough(truth):
         ((mask(0.4, 0.9), mask(0.3, 0.9), Part(where="structure", share=0.3)), "in pieces"),
         ((Part(where="structure", share=0.6), mask(0.4, 0.9)), "taken for structure"),
         ((mask(0.4, 0.9), Part(where="structure", share=0.3)), "in a mask of its own"),
-        ((Part(where="too near", share=0.6),), "outside the depth range"),
+        ((Part(where="no depth", share=0.6),), "without depth"),
     ],
 )
 def test_a_keyframe_labels_a_thing_by_most_of_its_pixels(parts, state):

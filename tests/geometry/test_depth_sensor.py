@@ -36,7 +36,8 @@ def test_compiled_code_has_the_same_law(z, quadratic, constant, floor, step):
 
 def test_out_of_range_is_no_return_and_a_bias_is_taken_off():
     depth = depths(0.3, 1.0, 5.0, np.nan)
-    assert DepthSensor().returns(depth) is depth
+    assert DepthSensor(min_m=0).returns(depth) is depth
+    assert np.isnan(DepthSensor().returns(depths(0.1))).all()
     sensor = DepthSensor(min_m=0.5, max_m=4.0, bias_m=0.05)
     np.testing.assert_allclose(sensor.returns(depth), [[np.nan, 0.95, np.nan, np.nan]], rtol=1e-6)
     assert np.isnan(DepthSensor(bias_m=0.5).returns(depths(0.3))).all()

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from hickory_stream.config import MapperConfig
 from hickory_stream.inspection.point_sighting import sighting_of
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
@@ -22,7 +21,7 @@ def seen(pixel, depth_m, *, shift_m=(0, 0, 0)):
     book = TrackHistories()
     book.add(7, [Decision(kind="create", object_id=5, text="", observation_index=0)])
     keyframe = a_keyframe(map_from_odometry=placed(*shift_m))
-    return sighting_of(keyframe, point_at(pixel, depth_m) + shift_m, MapperConfig(), book)
+    return sighting_of(keyframe, point_at(pixel, depth_m) + shift_m, book)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hickory_stream.journal.record_codec import decode, encode
 from hickory_stream.journal.step import FramePose, JournalEntry, Step, StepKind
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.perception.coarse import coarse_frame
-from hickory_stream.perception.observe import ObserveConfig, observe
+from hickory_stream.perception.observe import observe
 from hickory_stream.records import Frame, Segmentation, SpaceObservation
 
 NO_KEYS = np.empty(0, np.int64)
@@ -42,7 +42,7 @@ def seen(*, depth_unit_m=0.001):
     )  # fmt: skip
     structure = instances == 0
     segmentation = Segmentation(instances=instances, structure=structure, floor_z_m=None, rejected=())
-    observations, _ = observe(frame, segmentation, ObserveConfig(), Lattice())
+    observations, _ = observe(frame, segmentation, Lattice())
     assert len(observations) == 2
     return FrameObserved(
         frame_index=4, stamp_ns=9, world_from_camera=pose, observations=observations,

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.descriptor import ColorTextureDescriptor, _pixels_of_patches, mask_feature
-from hickory_stream.perception.observe import ObserveConfig, observe
+from hickory_stream.perception.observe import observe
 from hickory_stream.records import Segmentation
 
 from tests.perception.perception_scenes import Block, looking, render  # isort: skip
@@ -18,7 +18,7 @@ def observation_of_a_filled_image():
     frame, shown = render([wall], looking((1.0, 0.0, 0.0), start=(0.0, 0.0, 0.0)))
     instances = (shown == 0).astype(np.int32)
     segmentation = Segmentation(instances=instances, structure=shown < 0, floor_z_m=None, rejected=())
-    return frame, observe(frame, segmentation, ObserveConfig(), Lattice())[0][0]
+    return frame, observe(frame, segmentation, Lattice())[0][0]
 
 
 @given(height=st.integers(1, 60), width=st.integers(1, 60), seed=st.integers(0, 99))

@@ -7,7 +7,7 @@ from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, steps_of
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
-from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe, voxel_means
+from hickory_stream.perception.observe import mask_area_of, observe, voxel_means
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
@@ -38,7 +38,7 @@ def distance_to_box(points, block):
 
 def test_lifted_points_lie_on_the_true_surface():
     frame, shown = render([floor(), BOX], VIEW)
-    observations, rejected = observe(frame, truth(shown, [1]), ObserveConfig(), Lattice())
+    observations, rejected = observe(frame, truth(shown, [1]), Lattice())
     assert rejected == ()
     # A voxel's mean at an edge lies inside by at most a voxel.
     assert distance_to_box(observations[0].points_world, BOX).max() < 0.01
@@ -50,7 +50,7 @@ def test_the_factors_of_a_view_are_shares_of_image_and_mask():
     depth = frame.depth_m.copy()
     lost = (shown == 1) & (np.arange(CAMERA.width) % 4 == 0)
     depth[lost] = np.nan
-    observation = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig(), Lattice())[0][0]
+    observation = observe(with_depth(frame, depth), truth(shown, [1]), Lattice())[0][0]
     pixels = int((shown == 1).sum())
     assert observation.r_area == pixels / (CAMERA.width * CAMERA.height)
     assert observation.r_depth == pytest.approx(1 - lost.sum() / pixels)
@@ -61,9 +61,9 @@ def test_the_factors_of_a_view_are_shares_of_image_and_mask():
 def test_an_outline_is_drawn_by_returns_or_colour(color, drawn):
     box = Block(low=BOX.low, high=BOX.high, color=color)
     frame, shown = render([floor(), box], VIEW)
-    seen = observe(frame, truth(shown, [1]), ObserveConfig(), Lattice())[0][0]
+    seen = observe(frame, truth(shown, [1]), Lattice())[0][0]
     alone = with_depth(frame, np.where(shown == 1, frame.depth_m, np.float32(np.nan)))
-    lost = observe(alone, truth(shown, [1]), ObserveConfig(), Lattice())[0][0]
+    lost = observe(alone, truth(shown, [1]), Lattice())[0][0]
     assert seen.drawn == 1.0
     assert lost.drawn == pytest.approx(drawn, abs=0.1)
 
@@ -72,9 +72,7 @@ def test_only_what_touches_the_border_is_cut():
     inside = render([floor(), BOX], VIEW)
     outside = render([floor(), BOX], looking((0.0, 1.35, 0.3), start=(-2.2, -0.3, 1.5)))
     assert (outside[1][:, [0, -1]] == 1).any()
-    cut = [
-        observe(frame, truth(shown, [1]), ObserveConfig(), Lattice())[0][0].is_cut for frame, shown in (inside, outside)
-    ]
+    cut = [observe(frame, truth(shown, [1]), Lattice())[0][0].is_cut for frame, shown in (inside, outside)]
     assert cut == [False, True]
 
 
@@ -84,14 +82,14 @@ def test_a_thin_leg_is_lifted_with_the_top_it_carries():
     fine = Camera(width=640, height=480, fx=580.0, fy=580.0, cx=319.5, cy=239.5)
     frame, shown = render([floor(), top, leg], VIEW, fine)
     whole = np.where(shown == 2, 1, shown)
-    box = observe(frame, truth(whole, [1]), ObserveConfig(), Lattice())[0][0].box
+    box = observe(frame, truth(whole, [1]), Lattice())[0][0].box
     assert box.center[2] - box.half_extents_m[2] < 0.05
 
 
 def test_a_mask_without_depth_is_rejected_with_its_reason():
     frame, shown = render([floor(), BOX], VIEW)
     depth = np.where(shown == 1, np.nan, frame.depth_m).astype(np.float32)
-    observations, rejected = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig(), Lattice())
+    observations, rejected = observe(with_depth(frame, depth), truth(shown, [1]), Lattice())
     assert observations == ()
     assert [r.reason for r in rejected] == ["no reliable depth in the mask"]
 
@@ -158,7 +156,7 @@ def can_at(distance_m):
 def test_a_can_has_its_true_size_at_any_distance(distance_m):
     frame, mask = can_at(distance_m)
     segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
-    observations, rejected = observe(frame, segmentation, ObserveConfig(), Lattice())
+    observations, rejected = observe(frame, segmentation, Lattice())
     assert rejected == ()
     size = np.ptp(observations[0].points_world, axis=0)
     # To a pixel on each side and two voxels; edges of stereo images are lost.
@@ -170,7 +168,7 @@ def test_the_rim_of_a_mask_that_shows_the_wall_is_left_out():
     frame, mask = can_at(2.0)
     wide = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8))
     segmentation = Segmentation(instances=wide.astype(np.int32), structure=wide == 0)
-    points = observe(frame, segmentation, ObserveConfig(), Lattice())[0][0].points_world
+    points = observe(frame, segmentation, Lattice())[0][0].points_world
     assert points[:, 0].max() < 2.0 + 5 * float(frame.sensor.sigma_m(np.array([2.0], dtype=np.float32))[0])
 
 
@@ -179,6 +177,6 @@ def test_returns_of_which_no_two_agree_are_no_thing():
     depth = frame.depth_m.copy()
     depth[mask] = np.random.default_rng(0).uniform(1.0, 4.0, int(mask.sum())).astype(np.float32)
     segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
-    observations, rejected = observe(with_depth(frame, depth), segmentation, ObserveConfig(), Lattice())
+    observations, rejected = observe(with_depth(frame, depth), segmentation, Lattice())
     assert observations == ()
     assert "sure returns, fewer than 24" in rejected[0].reason

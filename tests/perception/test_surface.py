@@ -98,9 +98,9 @@ def test_another_storey_has_its_own_floor():
 def test_a_working_pixel_has_the_lower_median_of_its_block(factor, seed):
     rng = np.random.default_rng(seed)
     depth = rng.choice(np.array([np.nan, 0.1, 1.0, 2.0, 3.0, 5.9, 7.0], dtype=np.float32), (4 * factor, 5 * factor))
-    for (y, x), z in np.ndenumerate(_reduce_depth(depth, factor, 4, 5, 0.2)):
+    for (y, x), z in np.ndenumerate(_reduce_depth(depth, factor, 4, 5)):
         block = depth[y * factor : (y + 1) * factor, x * factor : (x + 1) * factor].ravel()
-        valid = np.sort(block[block >= 0.2])
+        valid = np.sort(block[block > 0])
         assert np.array_equal(z, valid[(len(valid) - 1) // 2] if len(valid) else np.float32(np.nan), equal_nan=True)
 
 

@@ -7,7 +7,7 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.mapping.entities.cloud import cloud_of, fuse, moved_cloud
 from hickory_stream.mapping.entities.track import box_of, settled
-from hickory_stream.perception.observe import ObserveConfig, observe
+from hickory_stream.perception.observe import observe
 from tests.mapping.picture_wall import frames, true_boxes
 
 VOXEL_M = 0.01
@@ -17,7 +17,7 @@ def clouds(distance_m, count, sigma_per_m):
     """The cloud of each picture that its true masks make, by its number."""
     found = {}
     for frame, segmentation in frames(distance_m, count, sigma_per_m):
-        for one in observe(frame, segmentation, ObserveConfig(), Lattice())[0]:
+        for one in observe(frame, segmentation, Lattice())[0]:
             (x0, y0, _, _), (y, x) = one.box_px, np.argwhere(one.mask)[0]
             weights = information(one.points_world, frame.world_from_camera, frame.sensor.law)
             cloud = cloud_of(one.points_world, one.colors, VOXEL_M, weights, one.behind)
