@@ -29,8 +29,8 @@ DECIDABLE = (
     *(AmbiguousConfig(kind="identical-rooms", num_objects=10, breaking=b) for b in (2, 3)),
     *(AmbiguousConfig(kind="different-rooms", num_objects=10, num_rooms=n) for n in (2, 3)),
 )
-TILTS_DEG = (0.0, 0.5, 1.0, 2.0, 3.0)
-CHI2_95 = 12.592
+_TILTS_DEG = (0.0, 0.5, 1.0, 2.0, 3.0)
+_CHI2_95 = 12.592
 _DIFFICULTIES: tuple[Difficulty, ...] = ("easy", "hard")
 _BASE = 900_000
 _FRESH = 50_000
@@ -52,7 +52,7 @@ def ambiguous_figures(options: Options, in_processes: Any) -> list[Figure]:
     figures += _of_apartments(in_processes(_apartment_trial, [*combinations(seeds, 2), *((i, i) for i in seeds)]))
     pairs = [
         (SimulationConfig(outliers=(0.5, 0.75)[i % 2], tilt_deg=tilt), 100_000 * seed + _BASE + i)
-        for tilt in TILTS_DEG
+        for tilt in _TILTS_DEG
         for i in range(8 if quick else 100)
     ]
     return figures + _of_squares(in_processes(_square_trial, pairs))
@@ -124,5 +124,5 @@ def _of_squares(squares: Iterable[float | None]) -> list[Figure]:
     interval, of = (float(known.mean() - half), float(known.mean() + half)), f"{len(known)} answers, 6 dof"
     return [
         figure("nees_mean", known.mean(), "", "same", of, interval=interval, interval_by="normal"),
-        *share("nees_within_95", (known < CHI2_95).sum(), len(known), "trials"),
+        *share("nees_within_95", (known < _CHI2_95).sum(), len(known), "trials"),
     ]

@@ -63,16 +63,6 @@ def drifting_walks(options: Options) -> list[DriftingWalk]:
     return [*walks, _foreign_walk(worlds)]
 
 
-def second_walks(options: Options) -> list[WorldLog]:
-    """Return another walk through each of the same places, with exact poses."""
-    own = recorded(replace(_OWN, walk_index=1))
-    try:
-        worlds = worlds_folder(options.worlds)
-    except RecordingError:
-        return [own]
-    return [own, foreign_log(worlds, _FOREIGN, "B", "hand", _SECONDS, rate_hz=_RATE_HZ)]
-
-
 def drift_of(factor: float) -> DriftConfig:
     """Return so many times the default drift of our worlds."""
     return replace(_DEFAULT, scale=factor * _DEFAULT.scale, yaw_deg_per_m=factor * _DEFAULT.yaw_deg_per_m)

@@ -21,7 +21,6 @@ from hickory_stream.worlds.recording import make_recording
 from players import open_source
 from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_extrinsics
-from tools.benchmarks.alignment.covariance import square_figures
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO
 from tools.benchmarks.poses.drift import drift_figures, registration_figures
@@ -47,16 +46,14 @@ _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
     "campus": campus_figures, "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
     "fleet": fleet_figures,
     "graph": lambda options: [*graph_figures(options), *public_figures(data_folder() / "graphs", options)],
-    "loops": loop_figures, "squares": square_figures,
-    "walks": walk_figures, "real": real_figures,
+    "loops": loop_figures, "walks": walk_figures, "real": real_figures,
 }  # fmt: skip
 
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
     # `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
-    # alike, logs whose odometry has `drift`, `real` walks, pairs of walks of a `campus`, or `squares`, the calibration
-    # of alignment on whole maps.
+    # alike, logs whose odometry has `drift`, `real` walks, or pairs of walks of a `campus`.
     if len(options.only) == 1 and options.only[0] in _PARTS:
         return _PARTS[options.only[0]](options)
     quick = options.quick
