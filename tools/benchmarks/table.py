@@ -58,7 +58,7 @@ BENCHMARKS = {
     "shapes": Benchmark(
         "shapes.fitting", "fit, inflation and collision checks", (*_SHAPES, "hickory_stream/navigation/clearance.py")
     ),
-    "layer2": Benchmark("shapes.generated", "placement, judgement and blending of generated shapes; views"),
+    "layer2": Benchmark("shapes.generated", "placement, judgement and blending of generated shapes"),
     "align": Benchmark(
         "alignment.align", "alignment of simulated maps, look-alike places and apartments", _ALIGNMENT, whole=MAPS
     ),

@@ -18,7 +18,6 @@ from hickory_stream.shapes.generated.judgement import JudgementConfig, judged, s
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.benchmarks.common.figures import Figure, Options, figure, mean, share
 from tools.benchmarks.foreign.logs import worlds_folder
-from tools.benchmarks.maps.views import view_figures
 from tools.benchmarks.shapes.outcomes import Outcome, Row, exposed, f1_at, outcome_of, placed_mesh
 from tools.benchmarks.shapes.subjects import TUNED_WORLDS, Subject, foreign_subjects, own_subjects
 from tools.evaluation.shapes.spoiled_generator import generated, sighted
@@ -39,12 +38,7 @@ How = Literal["plain", "spoiled", "swapped"]
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures, and print the trials that failed; `--only views` measures the choice of views alone."""
-    figures = view_figures(options) if "views" in options.only else []
-    return figures if options.only == ("views",) else [*figures, *_of_generators(options)]
-
-
-def _of_generators(options: Options) -> list[Figure]:
+    """Return the figures, and print the trials that failed."""
     count, seed = 10 if options.quick else 114, _SEED + options.seed
     subjects = own_subjects(count, seed)
     subjects += foreign_subjects(worlds_folder(options.worlds), TUNED_WORLDS, most=4 if options.quick else None)
