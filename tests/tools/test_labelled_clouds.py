@@ -79,7 +79,7 @@ def test_a_damaged_file_is_refused(tmp_path, cut):
 
 
 def test_a_folder_without_clouds_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match="--clouds"):
+    with pytest.raises(RecordingError, match="labelled clouds"):
         clouds_in(tmp_path)
 
 

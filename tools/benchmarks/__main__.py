@@ -65,7 +65,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--quick", action="store_true", help="a smaller sample, in under 50 s")
     add("--scenes", type=Path, nargs="+", default=[], metavar="DIR", help="truth folders with their logs beside them")
     add("--meshes", type=Path, metavar="DIR", help="shapes: measure on the meshes of a folder instead")
-    add("--clouds", type=Path, metavar="DIR", help="perception: labelled clouds, *.pcd, of a folder")
     add("--worlds", type=Path, metavar="DIR", help="rooms by others; $HICKORY_WORLDS, else ../shared/worlds")
     add("--check", action="store_true", help="exit with 1 where a figure fell back behind the committed baseline")
     add("--set-baseline", metavar="ABOUT", help="write the figures into the committed baseline, with a description")

@@ -47,7 +47,7 @@ BENCHMARKS = {
         "maps.navigation", "occupancy and paths on boxes, meshes and layer 4", (*_SHAPES, "hickory_stream/navigation"),
         whole=MAPS,
     ),
-    "perception": Benchmark("perception.frames", "masks of single frames, features, time and memory of layer 1"),
+    "perception": Benchmark("perception.frames", "masks of single frames, features, memory of layer 1"),
     "paper_masks": Benchmark(
         "perception.paper_masks", "maps with simulated networks, by error", (*MAPS, "tools/evaluation/masks")
     ),

@@ -46,7 +46,6 @@ class Options:
     quick: bool
     scenes: tuple[Path, ...] = ()
     meshes: Path | None = None
-    clouds: Path | None = None
     state: Path = Path("out/bench")
     only: tuple[str, ...] = ()
     minutes: float = math.inf

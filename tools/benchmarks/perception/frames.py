@@ -1,37 +1,30 @@
-"""Perception of single frames: masks on labelled clouds and synthetic logs, its time and memory, the descriptor, S."""
-# Clouds are single views without a map. Logs are played through layer 1: each keyframe sees the map as it is after the
-# one before. Things and masks under 0.2 % of the image do not count.
+"""Perception of single frames: masks of synthetic logs, its memory, the descriptor, S."""
+# Logs are played through layer 1: each keyframe sees the map as it is after the one before. Things and masks under
+# 0.2 % of the image do not count. Masks of labelled clouds, and times, are parts of `tools/bench foreign`.
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.geometry.lattice import Lattice
-from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
+from hickory_stream.perception.perceive import features_of
 from tools.benchmarks.common.cached_runs import walk_recording
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import DEMO, ROOT, best_s
+from tools.benchmarks.common.processes import DEMO
 from tools.benchmarks.perception.keyframe_memory import WARM_KEYFRAMES, keyframe_memory
-from tools.benchmarks.perception.network_times import network_times
 from tools.evaluation.masks.first_layer import PlayedKeyframe, play_first_layer
-from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
 from tools.evaluation.masks.scores import MaskScore, min_pixels, score_masks, total
 from tools.evaluation.oracle_ablation import TrueImages
 from tools.worlds.cache import cached_recording
 
-_CLOUDS = ROOT.parent / "shared" / "data" / "mosd"
 _APARTMENTS, _TABLETOPS = 4, 3
 _SCORED_EVERY = 3
 _OWN_SHARE = 0.6
-_TIMED_FRAMES, _REPEATS = 20, 3
 _MEMORY_ROUNDS = 3
 _MIN_VIEWS = 3
 
@@ -41,44 +34,27 @@ class Played:
     """A log played: the score of its masks, the cosines of its objects, the feature evaluations saved by the core."""
 
     # `same` and `different` are the mean cosines of pooled features of one object across views and of two objects, one
-    # number per object and per pair. `frames` are some keyframes, for timing.
+    # number per object and per pair.
 
     score: MaskScore
     same: list[float]
     different: list[float]
     saved: float
-    frames: list[PlayedKeyframe]
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; absent ones are announced."""
-    # A quick run plays the embedded recording instead of apartments and table-tops.
-    figures = _of_clouds(options)
+    """Return the figures; a quick run plays the embedded recording instead of apartments and table-tops."""
     logs = _logs(options)
     played = [_played(log) for log in logs]
     score = total(p.score for p in played)
     same, different = (np.mean([c for p in played for c in getattr(p, kind)]) for kind in ("same", "different"))
     print(f"features: mean cosine {same:.3f} of one object across views, {different:.3f} of two")
     return [
-        *figures, figure("synthetic_f1_50", score.f1), figure("synthetic_best_iou", score.best_iou),
+        figure("synthetic_f1_50", score.f1), figure("synthetic_best_iou", score.best_iou),
         figure("synthetic_found_fraction", score.found_fraction), figure("descriptor_margin", same - different),
         figure("s_saved_fraction", np.mean([p.saved for p in played])),
-        _time_of([keyframe for p in played for keyframe in p.frames]),
-        *_memory_of(logs[0], 20 if options.quick else 60), *network_times(options.seed),
+        *_memory_of(logs[0], 20 if options.quick else 60),
     ]  # fmt: skip
-
-
-def _of_clouds(options: Options) -> list[Figure]:
-    folder = options.clouds or _CLOUDS
-    if options.clouds is None and not folder.is_dir():
-        print(f"no labelled clouds: {folder} is not there, and --clouds names no other folder")
-        return [figure("clouds", 0)]
-    scores = []
-    for path in clouds_in(folder):
-        scores.append(score_cloud(load_cloud(path)))
-        print(f"{path.stem}: {_line(scores[-1])}", flush=True)
-    score = total(scores)
-    return [figure("mosd_f1_50", score.f1), figure("mosd_best_iou", score.best_iou), figure("clouds", len(scores))]
 
 
 def _logs(options: Options) -> list[Path]:
@@ -95,7 +71,6 @@ def _played(log: Path) -> Played:
     images = TrueImages(load_truth(log.with_suffix(".truth")))
     scores: list[MaskScore] = []
     features: dict[int, list[NDArray[np.float32]]] = defaultdict(list)
-    frames: list[PlayedKeyframe] = []
     saved = 0.0
     for i, seen in enumerate(play_first_layer(log)):
         saved = seen.metrics["core/features_saved"]
@@ -105,11 +80,9 @@ def _played(log: Path) -> Played:
         scores.append(score_masks(seen.perceived.segmentation.instances, shown, min_pixels(shown)))
         for thing, feature in _features(seen, shown):
             features[thing].append(feature)
-        if i % (10 * _SCORED_EVERY) == 0:
-            frames.append(seen)
     score, (same, different) = total(scores), _cosines(features)
     print(f"{log.stem}: {_line(score)}, {saved:.0%} of the feature evaluations saved", flush=True)
-    return Played(score=score, same=same, different=different, saved=saved, frames=frames)
+    return Played(score=score, same=same, different=different, saved=saved)
 
 
 def _features(seen: PlayedKeyframe, shown: NDArray[np.int32]) -> list[tuple[int, NDArray[np.float32]]]:
@@ -129,25 +102,6 @@ def _cosines(features: Mapping[int, list[NDArray[np.float32]]]) -> tuple[list[fl
     views = [np.stack(features[thing]) for thing in sorted(features) if len(features[thing]) >= _MIN_VIEWS]
     same = [float(((own @ own.T).sum() - len(own)) / (len(own) * (len(own) - 1))) for own in views]
     return same, [float((a @ b.T).mean()) for i, a in enumerate(views) for b in views[i + 1 :]]
-
-
-def _time_of(keyframes: Sequence[PlayedKeyframe]) -> Figure:
-    chosen = keyframes[:: max(1, len(keyframes) // _TIMED_FRAMES)][:_TIMED_FRAMES]
-    config = PerceptionConfig()
-    segmenter = make_segmenter(config)
-
-    def perceived(seen: PlayedKeyframe) -> None:
-        perceive(seen.frame, seen.prior, None, segmenter, config, lattice=Lattice())
-
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        least_s = [best_s(lambda seen=seen: perceived(seen), _REPEATS) for seen in chosen]
-    finally:
-        cv2.setNumThreads(threads)
-    camera = chosen[0].frame.camera
-    print(f"timed on {len(chosen)} keyframes of {camera.width}x{camera.height}, least of {_REPEATS} repeats each")
-    return figure("keyframe_ms", 1e3 * np.mean(least_s), "ms", "lower")
 
 
 def _memory_of(log: Path, keyframes: int) -> list[Figure]:

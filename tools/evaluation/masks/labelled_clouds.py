@@ -75,7 +75,7 @@ def clouds_in(folder: Path) -> list[Path]:
     # Raises RecordingError: there are none.
     paths = sorted(folder.glob("*.pcd"))
     if not paths:
-        raise RecordingError(f"{folder} holds no *.pcd files; name a folder of labelled clouds with --clouds")
+        raise RecordingError(f"{folder} holds no *.pcd files, expected labelled clouds")
     return paths
 
 
