@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
         help="engine: digests, kills, stops, live, soak, processors; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen,"
         " clouds, own, outdoor, speed; first_hour: demo, wheel, tests; poses: campus, drift, fleet, graph, loops,"
         " real, walks; changes: days, run, person, questions; scale: keyframes, alignment, stages, batch,"
-        " building; quality: apartments; doctor: sound, faults, logs",
+        " street; quality: apartments; doctor: sound, faults, logs",
     )
     return parser
 

@@ -65,12 +65,12 @@ BENCHMARKS = {
     "poses": Benchmark(
         "poses.odometry", "odometry, drift, corridors, extrinsics, loops, pose graphs, fleets", (*MAPS, *_FLEETS)
     ),
-    "players": Benchmark("logs.readers", "reading logs: speed, memory, layouts, damage", PLAYERS),
+    "players": Benchmark("logs.readers", "reading logs: speed, memory, containers, damage", PLAYERS),
     "doctor": Benchmark("logs.doctor_cases", "verdicts of doctor on sound logs and on faults put into them", PLAYERS),
     "damage": Benchmark("logs.damaged_logs", "damaged logs; altered maps with --maps", (*PLAYERS, *_MAP_FILES)),
     "live": Benchmark("live.robots", "robots over every live route: losses, latency, safety", MAPS),
     "engine": Benchmark("scale.engine", "determinism, kills, stops, live overload, hours of playback"),
-    "scale": Benchmark("scale.scale", "large maps and alignments, real time by stage, a batch, a building"),
+    "scale": Benchmark("scale.scale", "large maps and alignments, real time by stage, a batch, a street"),
     "first_hour": Benchmark(
         "first_hour", "clone to picture, wheel to demo, set-up and tests, each with empty caches",
         (*MAPS, "requirements.lock"),

@@ -1,6 +1,6 @@
 """The costs of size: a keyframe in a large map, memory and disk, readers, large alignments, real time, a batch."""
 # A recorded walk is mapped room after room (`keyframe.py`): a thousand objects without rendering a building; 200 for
-# `--quick`. The part `building`, 1,000 objects and 20 minutes, belongs to the whole run and takes hours.
+# `--quick`.
 
 import heapq
 import os
@@ -18,29 +18,18 @@ from players import SourceOptions
 from tools.benchmarks.alignment.large_pair import large_pair
 from tools.benchmarks.common.cached_runs import walk_recording
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import COARSE, DEMO, finished, folder_mb, overridden, play, play_coarsely
+from tools.benchmarks.common.processes import COARSE, DEMO, finished, overridden, play, play_coarsely
 from tools.benchmarks.foreign.logs import outdoor_log
 from tools.benchmarks.scale.keyframe import scale_costs, street_mb
 from tools.benchmarks.scale.reading import reading_of
 from tools.benchmarks.scale.stage_times import BUDGET_MS, STAGE_BUDGETS_MS, stage_times
-from tools.worlds.building.building import BuildingSize
 from tools.worlds.cache import cached_recording
 from tools.worlds.recording_config import RecordingConfig
 
 _QUICK_PARTS = ("keyframes", "alignment", "stages", "batch")
-_PARTS = (*_QUICK_PARTS, "street", "building")
+_PARTS = (*_QUICK_PARTS, "street")
 _WALK_FRAMES = 60
 _APARTMENTS = tuple(walk_recording("apartment", seed, rate_hz=30.0) for seed in (1001, 1002, 1003))
-_BUILDING = RecordingConfig(
-    scene="building",
-    seed=1,
-    building=BuildingSize(floors=3, rooms=30),
-    # About every frame of a walk is a keyframe: frames in between would triple the hours that rendering takes.
-    rate_hz=3.0,
-    width=640,
-    height=480,
-    seconds=1200.0,
-)
 _STREET_M = 1000.0
 _BATCH_SECONDS, _BATCH_LOGS, _QUICK_BATCH_LOGS = 10.0, 8, 4
 
@@ -65,8 +54,6 @@ def measure(options: Options) -> list[Figure]:
             metres, rss_mb = street_mb(folder / "street", folder / "long", metres=_STREET_M)
             of = f"{metres:.0f} m of a street, walked again and again; no perception"
             figures.append(figure("street_mb", rss_mb, "MB", "lower", of))
-        if "building" in parts:
-            figures += _building(folder)
     return figures
 
 
@@ -196,20 +183,3 @@ def _makespan(seconds: list[float], workers: int) -> float:
     for one in seconds:
         heapq.heapreplace(free_at, free_at[0] + one)
     return max(free_at)
-
-
-def _building(folder: Path) -> list[Figure]:
-    log, truth = cached_recording(_BUILDING)
-    seconds, out = _BUILDING.seconds or 0.0, folder / "building"
-    played = play(log, out)
-    size_mb, reading = folder_mb(out), reading_of(out)
-    of = f"a building of {len(truth.objects)} objects, {seconds / 60:.0f} minutes at {_BUILDING.rate_hz:g} Hz"
-    return [
-        figure("building_objects", reading.objects, "", "higher", of),
-        figure("building_peak_mb", played.peak_mb, "MB", "lower", f"{of}; mapper and workers"),
-        figure("building_realtime_factor", seconds / played.seconds, "x", "higher", of),
-        figure("building_folder_mb_per_minute", size_mb / (seconds / 60), "MB", "lower", of),
-        figure("building_folder_mb_per_object", size_mb / max(1, reading.objects), "MB", "lower", of),
-        figure("building_open_seconds", reading.open_seconds, "s", "lower", of),
-        figure("building_render_seconds", reading.render_seconds, "s", "lower", of),
-    ]
