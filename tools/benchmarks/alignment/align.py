@@ -14,7 +14,6 @@ import numpy as np
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.methods import METHODS, Method
 from hickory_stream.alignment.object_map import ObjectMap, object_map
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.map_folder.saved_map import open_map
@@ -30,10 +29,6 @@ from tools.evaluation.simulated_maps.trial import Trial, noise_floor, run_trial
 R = TypeVar("R")
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
-_ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "roman-one", "roman-xl", "ransac")
-assert set(_ABLATED) <= set(METHODS)
-# Three thousand objects in each map, of which 750 are in both.
-_LARGE, _LARGE_TRIALS = 3000, 3
 
 
 def _set(num_objects: int, outliers: float, difficulty: Difficulty = "easy", tilt_deg: float = 0.0) -> SimulationConfig:
@@ -48,7 +43,6 @@ _SETS = {
     "tilt5": (_set(40, 0.5, "easy", 5.0), 200, 20), "tilt15": (_set(40, 0.5, "easy", 15.0), 400, 40),
     "tilt15_hard": (_set(40, 0.5, "hard", 15.0), 200, 20),
 }  # fmt: skip
-_ABLATION = {"hard": _set(40, 0.75, "hard"), "hard_20": _set(20, 0.75, "hard"), "hard_90": _set(40, 0.9, "hard")}
 
 
 def measure(options: Options) -> list[Figure]:
@@ -59,14 +53,14 @@ def measure(options: Options) -> list[Figure]:
     figures += _of_confidence(trials)
     figures += ambiguous_figures(options, _in_processes)
     figures += _of_times(options)
-    figures += _of_ablation(options)
     return figures + (_of_apartments(maps) if maps else [])
 
 
 def _of_sets(options: Options) -> tuple[list[Figure], list[Trial]]:
     figures, every = [], []
     for name, (config, full, quick) in _SETS.items():
-        trials = _run(config, quick if options.quick else full, options.seed, "sq")
+        jobs = [(config, _seed(options.seed, i)) for i in range(quick if options.quick else full)]
+        trials = _in_processes(run_trial, jobs)
         every += trials
         print(f"{name}: {_summary(trials)}", flush=True)
         figures.append(figure(f"success_{name}", _share(trials)))
@@ -88,21 +82,6 @@ def _of_confidence(trials: list[Trial]) -> list[Figure]:
     answers = [trial for trial in trials if trial.error is not None]
     wrong = sum(trial.is_wrong for trial in answers) / max(len(answers), 1)
     return [figure("confident_answers", len(answers)), figure("wrong_confident_fraction", wrong, "", "lower")]
-
-
-def _of_ablation(options: Options) -> list[Figure]:
-    figures = []
-    for (name, config), method in itertools.product(_ABLATION.items(), _ABLATED):
-        trials = _run(config, 10 if options.quick else 200, options.seed, method)
-        label = f"ablation_{method.replace('-', '_')}_{name}"
-        print(f"{label}: {_summary(trials)}", flush=True)
-        wrong = sum(trial.is_wrong for trial in trials) / len(trials)
-        figures += [figure(f"{label}_success", _share(trials)), figure(f"{label}_wrong", wrong, "", "lower")]
-    return figures
-
-
-def _run(config: SimulationConfig, count: int, seed: int, method: Method) -> list[Trial]:
-    return _in_processes(run_trial, [(config, _seed(seed, i), method) for i in range(count)])
 
 
 def _of_unrelated(options: Options, maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]:
@@ -139,16 +118,7 @@ def _of_times(options: Options) -> list[Figure]:
         seconds = [_seconds(size, _seed(options.seed, i)) for i in range(2 if options.quick else 5)]
         figures.append(figure(f"seconds_{size}", np.median(seconds), "s", "lower"))
     peak_mb = large_pair(_seed(options.seed, 0), 320, "hard").peak_mb
-    figures.append(figure("rss_320_mb", peak_mb, "MB", "lower"))
-    if options.quick:
-        return figures
-    large = [large_pair(_seed(options.seed, i), _LARGE, "easy") for i in range(_LARGE_TRIALS)]
-    return [
-        *figures,
-        figure("align_3000_success", np.mean([one.is_found for one in large])),
-        figure("align_3000_seconds", max(one.seconds for one in large), "s", "lower"),
-        figure("align_3000_rss_mb", max(one.peak_mb for one in large), "MB", "lower"),
-    ]
+    return [*figures, figure("rss_320_mb", peak_mb, "MB", "lower")]
 
 
 def _seconds(size: int, seed: int) -> float:
