@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.superquadric import centroid_world, radial_distance_m
+from hickory_stream.geometry.superquadric import centroid_world
 from tests.strategies import seeds
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, real_fits, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import noise_floor, run_trial
-from tools.evaluation.simulated_maps.variants import with_points
 
 
 @settings(max_examples=10)
@@ -63,16 +62,9 @@ def test_simulated_maps_have_the_tilt_asked_for_or_are_unrelated():
     assert len(simulate_unrelated(SimulationConfig(), 0).common) == 0
 
 
-def test_shapes_are_real_ones_and_clouds_lie_on_them():
+def test_shapes_are_real_ones_about_their_centroids():
     assert len(real_fits()) > 60
     assert all(np.abs(centroid_world(shape)).max() < 1e-3 for shape in real_fits())
-    objects = with_points(simulate_pair(SimulationConfig(num_objects=6), 1).map_a)
-    for shape, points in zip(objects.shapes, objects.points, strict=True):
-        assert shape is not None
-        assert points is not None
-        assert 50 < len(points) < 300
-        off = np.min([np.abs(radial_distance_m(shape, i, points)) for i in range(len(shape))], axis=0)
-        assert off.max() < 1e-4
 
 
 def test_a_trial_near_the_floor_is_a_success():

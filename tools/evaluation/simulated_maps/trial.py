@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.methods import Method, align_by
 from hickory_stream.alignment.registration import information
 from hickory_stream.geometry.rigid import apply, invert
 from tools.evaluation.alignment_table import AlignmentError, error_of
 from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
-from tools.evaluation.simulated_maps.variants import with_points
 
 # The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.
 _MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
@@ -25,9 +24,6 @@ class Trial:
 
     error: AlignmentError | None
     refusal: str | None
-    num_pairs: int
-    log10_chance: float | None
-    num_common: int
 
     @property
     def is_success(self) -> bool:
@@ -38,20 +34,13 @@ class Trial:
         return self.error is not None and not self.error.is_success
 
 
-def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Trial:
-    """Return the result of a method for the simulated pair of a seed; the methods of ROMAN are given point clouds."""
+def run_trial(config: SimulationConfig, seed: int) -> Trial:
+    """Return the result of `align` for the simulated pair of a seed."""
     pair = simulate_pair(config, seed)
-    map_a, map_b = pair.map_a, pair.map_b
-    if method in ("roman-one", "roman-xl"):
-        map_a, map_b = with_points(map_a), with_points(map_b)
-    answer = align_by(method, map_a, map_b)
-    common = len(pair.common)
+    answer = align(pair.map_a, pair.map_b)
     if not isinstance(answer, Alignment):
-        return Trial(error=None, refusal=answer.refusal.value, num_pairs=0, log10_chance=None, num_common=common)
-    return Trial(
-        error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)), refusal=None, num_pairs=len(answer.pairs),
-        log10_chance=answer.log10_chance, num_common=common,
-    )  # fmt: skip
+        return Trial(error=None, refusal=answer.refusal.value)
+    return Trial(error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)), refusal=None)
 
 
 def normalised_square(answer: Alignment, true_a_from_b: NDArray[np.float64]) -> float:

@@ -8,15 +8,14 @@ from numpy.typing import NDArray
 from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved
-from hickory_stream.geometry.superquadric_surface import surface_points
+from hickory_stream.geometry.superquadric import moved
 
 _REACH_M = 5.0
 
 
-def random_frame(rng: np.random.Generator, reach_m: float = _REACH_M) -> NDArray[np.float64]:
-    """Return `new_from_old` (4, 4) with a random yaw and a translation of up to `reach_m` along each axis."""
-    return from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-reach_m, reach_m, 3))
+def random_frame(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return `new_from_old` (4, 4) with a random yaw and a translation of up to 5 m along each axis."""
+    return from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-_REACH_M, _REACH_M, 3))
 
 
 def moved_map(objects: ObjectMap, new_from_old: NDArray[np.float64]) -> ObjectMap:
@@ -43,23 +42,6 @@ def mirrored_map(objects: ObjectMap) -> ObjectMap:
     poses = np.broadcast_to(np.eye(4), (len(objects), 4, 4)).copy()
     poses[:, 0, 3] = -2 * objects.centroids[:, 0]
     return replace(_placed(objects, poses, np.eye(4)), submaps=())
-
-
-def with_points(objects: ObjectMap, count: int = 150) -> ObjectMap:
-    """Return the map with about `count` points on the surface of each shape, for methods that need point clouds."""
-    points = tuple(None if shape is None else _cloud(shape, count) for shape in objects.shapes)
-    return replace(objects, points=points)
-
-
-def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
-    shares = shape.semi_axes_m.prod(axis=1) ** (2 / 3)
-    counts = np.maximum(np.round(count * shares / shares.sum()), 8).astype(np.int64)
-    kept = []
-    for i in range(len(shape)):
-        own = surface_points(shape, i, int(counts[i]))
-        buried = [log_implicit_value(shape, j, own) < 0 for j in range(len(shape)) if j != i]
-        kept.append(own[~np.any(buried, axis=0)] if buried else own)
-    return np.concatenate(kept).astype(np.float32)
 
 
 def _placed(
