@@ -2,6 +2,7 @@
 # `world_from_map` and, for a body, `body_from_camera` follow from the poses of kept views and the truth at the same
 # stamps, by the closed form of Shah (2013) for body_i X = W camera_i.
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.geometry.rigid import from_rotation_translation, interpolate
+from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, invert
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.records import MapSnapshot
 from players.poses.interpolation import pose_of_row
 from players.poses.pose_file import read_pose_file
@@ -67,6 +69,15 @@ def world_from_map(snapshot: MapSnapshot, truth: TrueTrajectory, name: str) -> N
     bodies = np.array([body for body, _ in known])
     cameras = np.array([camera for _, camera in known])
     return _common_frame(bodies, cameras) if truth.is_camera else _hand_eye(bodies, cameras)
+
+
+def true_a_from_b(a: SavedMap, b: SavedMap, truths: Sequence[Path]) -> NDArray[np.float64]:
+    """Return the true pose (4, 4) of map b in map a; `truths` are those of their logs, in one frame."""
+    world_from_a, world_from_b = (
+        world_from_map(one.snapshot, read_true_trajectory(truth), one.folder.name)
+        for one, truth in zip((a, b), truths, strict=True)
+    )
+    return invert(world_from_a) @ world_from_b
 
 
 def pose_at(truth: TrueTrajectory, stamp_ns: int) -> NDArray[np.float64] | None:

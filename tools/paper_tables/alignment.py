@@ -4,21 +4,21 @@ from pathlib import Path
 from typing import Any
 
 from hickory_stream.alignment.methods import Method, align_by
-from hickory_stream.alignment.object_map import object_map
+from hickory_stream.cli.maps.align import objects_of
 from hickory_stream.errors import HickoryError
-from hickory_stream.geometry.rigid import invert
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.saved_map import open_map
 from tools.evaluation.alignment_table import row_of, table_json
-from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
+from tools.evaluation.alignment_truth import true_a_from_b
 from tools.paper_tables.logs import Pair, apartment_pairs, kimera_pairs, nus_pairs
-from tools.paper_tables.published import ALIGNMENT, Aligned
-from tools.paper_tables.tables import Cell, Column, Table
+from tools.paper_tables.published import ALIGNMENT
+from tools.paper_tables.tables import Cell, Column, Table, mean_of
 from tools.paper_tables.workshop import Plan, Workshop, refusal
 
 _METHODS: dict[Method, str] = {
     "bbox": "Mesh-BBox", "roman-xl": "ROMAN-XL", "roman-one": "ROMAN-One", "sq": "Superquadrics (ours)",
 }  # fmt: skip
-_FIGURES = ("num_pairs", "translation_m", "rotation_deg")
+_FIGURES = ("num_pairs", "translation_m", "rotation_deg", "overlap_m")
+_UNKNOWN = (None, None, None)
 
 
 def alignment_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
@@ -37,7 +37,7 @@ def alignment_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Tab
         places[data_set] += 1
         for method, title in _METHODS.items():
             published = ALIGNMENT[method].get(data_set, ())
-            paper = published[nth] if nth < len(published) else None
+            paper = published[nth] if nth < len(published) else _UNKNOWN
             rows.append((f"{data_set} {scene}: {title}", _cells(found[method], paper)))
     for data_set in places:
         rows += [(f"{data_set} mean: {title}", _means(method, data_set, answers)) for method, title in _METHODS.items()]
@@ -74,11 +74,9 @@ def _answers(pair: Pair, shop: Workshop) -> dict[Method, Any]:
     folders = [shop.map_of(log) for log in pair.logs]
 
     def measure() -> dict[str, Any]:
-        saved = [open_map(folder) for folder in folders]
-        world_from = [_world_from(one, truth) for one, truth in zip(saved, pair.truths, strict=True)]
-        true_a_from_b = invert(world_from[0]) @ world_from[1]
-        a, b = (object_map(one.snapshot, one.manifest.extractor) for one in saved)
-        rows = [row_of(pair.scene, method, align_by(method, a, b), true_a_from_b) for method in _METHODS]
+        saved_a, saved_b = (open_map(folder) for folder in folders)
+        true, a, b = true_a_from_b(saved_a, saved_b, pair.truths), objects_of(saved_a), objects_of(saved_b)
+        rows = [row_of(pair.scene, method, align_by(method, a, b), true) for method in _METHODS]
         return {row["method"]: row for row in table_json(rows)}
 
     name = f"alignment-{pair.data_set}-{pair.scene}"
@@ -86,37 +84,21 @@ def _answers(pair: Pair, shop: Workshop) -> dict[Method, Any]:
     return found
 
 
-def _world_from(saved: SavedMap, truth: Path) -> Any:
-    return world_from_map(saved.snapshot, read_true_trajectory(truth), saved.folder.name)
-
-
-def _cells(found: dict[str, Any], paper: Aligned | None) -> tuple[Cell, ...]:
+def _cells(found: dict[str, Any], paper: tuple[float | None, ...]) -> tuple[Cell, ...]:
     why = "" if found["refusal"] is None else f"refused: {found['refusal']}"
-    cells = [
-        Cell(
-            value=None if found["refusal"] is not None else found[name],
-            paper=None if paper is None else float(getattr(paper, name)),
-            why=why,
-        )
-        for name in _FIGURES
-    ]
-    return (*cells, Cell(value=found["overlap_m"], why=why))
+    return tuple(
+        Cell(value=None if why else found[name], paper=None if published is None else float(published), why=why)
+        for name, published in zip(_FIGURES, (*paper, None), strict=True)
+    )
 
 
 def _means(method: Method, data_set: str, answers: dict[tuple[str, str], dict[Method, Any]]) -> tuple[Cell, ...]:
     rows = [found[method] for (name, _), found in answers.items() if name == data_set]
     answered = [row for row in rows if row["refusal"] is None and row["overlap_m"] is not None]
-    published = ALIGNMENT[method].get(data_set, ())
-    cells = []
-    for name in (*_FIGURES, "overlap_m"):
-        paper = [float(getattr(one, name)) for one in published if hasattr(one, name)]
-        value = sum(row[name] for row in answered) / len(answered) if answered else None
-        cells.append(
-            Cell(
-                value=value,
-                num=len(answered),
-                paper=sum(paper) / len(paper) if paper else None,
-                why="" if answered else "all refused",
-            )
-        )
-    return tuple(cells)
+    published = ALIGNMENT[method].get(data_set)
+    papers = (*map(mean_of, zip(*published, strict=True)), None) if published else (*_UNKNOWN, None)
+    why = "" if answered else "all refused"
+    return tuple(
+        Cell(value=mean_of([row[name] for row in answered]), num=len(answered), paper=paper, why=why)
+        for name, paper in zip(_FIGURES, papers, strict=True)
+    )

@@ -4,7 +4,7 @@
 
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -28,7 +28,7 @@ from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.scene import World
 from players import open_source
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP
+from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP, joined
 from tools.paper_tables.workshop import Plan
 from tools.worlds.layouts import KimeraMultiLog
 from tools.worlds.outdoor.walk import outdoors
@@ -42,7 +42,7 @@ def write_replica_cad(world: World, root: Path, name: str) -> None:
     for folder in ("configs/scenes", "configs/objects", "objects", "stages"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     stage = f"{name}_stage"
-    walls = _merged([model_mesh(model) for model in world.structure])
+    walls = model_mesh(joined(stage, [(model, np.eye(4)) for model in world.structure]))
     write_glb(moved_mesh(walls, _Y_UP_FROM_Z_UP), root / "stages" / f"{stage}.glb")
     instances = []
     for item in world.objects:
@@ -64,16 +64,6 @@ def write_replica_cad(world: World, root: Path, name: str) -> None:
         "articulated_object_instances": [],
     }
     (root / "configs" / "scenes" / f"{name}.scene_instance.json").write_text(dumps(scene, indent=1), encoding="utf-8")
-
-
-def _merged(meshes: Sequence[Mesh]) -> Mesh:
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])[:-1]
-    return Mesh(
-        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-        faces=np.concatenate([mesh.faces + at for mesh, at in zip(meshes, offsets, strict=True)]).astype(np.int32),
-        colors=np.concatenate([mesh.colors for mesh in meshes]),
-        is_seen=np.concatenate([mesh.is_seen for mesh in meshes]),
-    )
 
 
 _MM_PER_M = 1000.0

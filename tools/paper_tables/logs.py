@@ -25,19 +25,22 @@ _QUADRUPED = ("--extrinsics", "estimate")
 class Pair:
     """Two logs of one place; `truths` say where each log's frame is in one that both share."""
 
-    data_set: str
-    scene: str
     logs: tuple[Log, Log]
     truths: tuple[Path, Path]
+
+    @property
+    def data_set(self) -> str:
+        return self.logs[0].data_set
+
+    @property
+    def scene(self) -> str:
+        return self.logs[0].scene
 
 
 def hope_logs(data: Path, plan: Plan) -> list[Log]:
     root = HOPE.folder(data)
     folders = [] if root is None else sorted(folder for folder in root.glob("hope_video/scene_*") if folder.is_dir())
-    return [
-        Log(data_set=HOPE.name, scene=folder.name, name="all", files=(folder,))
-        for folder in folders[: plan.hope_scenes]
-    ]
+    return [Log(HOPE.name, folder.name, "all", files=(folder,)) for folder in folders[: plan.hope_scenes]]
 
 
 def apartment_pairs(data: Path, plan: Plan, shop: Workshop) -> list[Pair]:
@@ -55,11 +58,9 @@ def apartment_pairs(data: Path, plan: Plan, shop: Workshop) -> list[Pair]:
             if not target.is_file():
                 shop.told(f"rendering {label}")
                 _render(root, name, walk, plan, target)
-            logs.append(Log(data_set=REPLICA_CAD.name, scene=name, name=f"walk{walk}", files=(target,)))
+            logs.append(Log(REPLICA_CAD.name, name, f"walk{walk}", files=(target,)))
             truths.append(target.with_suffix(".truth"))
-        pairs.append(
-            Pair(data_set=REPLICA_CAD.name, scene=name, logs=(logs[0], logs[1]), truths=(truths[0], truths[1]))
-        )
+        pairs.append(Pair(logs=(logs[0], logs[1]), truths=(truths[0], truths[1])))
     return pairs
 
 
@@ -72,14 +73,8 @@ def kimera_pairs(data: Path, plan: Plan) -> list[Pair]:
         robots = [file.name.removesuffix("_gt_odom.csv") for file in sorted(folder.glob("*_gt_odom.csv"))]
         logs = [(name, log) for name in robots if (log := _robot_log(folder, name)) is not None]
         if len(logs) >= 2:
-            pairs.append(
-                Pair(
-                    data_set=KIMERA_MULTI.name,
-                    scene=folder.name,
-                    logs=(logs[0][1], logs[1][1]),
-                    truths=(_ground_truth(folder, logs[0][0]), _ground_truth(folder, logs[1][0])),
-                )
-            )
+            truths = [folder / f"{name}_gt_odom.csv" for name, _ in logs]
+            pairs.append(Pair(logs=(logs[0][1], logs[1][1]), truths=(truths[0], truths[1])))
     return pairs[: plan.robot_pairs]
 
 
@@ -92,23 +87,11 @@ def nus_pairs(data: Path, plan: Plan) -> list[Pair]:
         runs = [file for file in sorted(folder.glob("*.tum")) if file.with_suffix("").is_dir()]
         if len(runs) >= 2:
             logs = [
-                Log(
-                    data_set=NUS_CLB.name,
-                    scene=folder.name,
-                    name=run.stem,
-                    files=(run.with_suffix(""),),
-                    arguments=_QUADRUPED,
-                )
+                Log(NUS_CLB.name, folder.name, run.stem, files=(run.with_suffix(""),), arguments=_QUADRUPED)
                 for run in runs[:2]
             ]
-            pairs.append(
-                Pair(data_set=NUS_CLB.name, scene=folder.name, logs=(logs[0], logs[1]), truths=(runs[0], runs[1]))
-            )
+            pairs.append(Pair(logs=(logs[0], logs[1]), truths=(runs[0], runs[1])))
     return pairs[: plan.nus_pairs]
-
-
-def _ground_truth(folder: Path, robot: str) -> Path:
-    return folder / f"{robot}_gt_odom.csv"
 
 
 def _robot_log(folder: Path, robot: str) -> Log | None:
@@ -116,7 +99,7 @@ def _robot_log(folder: Path, robot: str) -> Log | None:
     odometry = folder / f"{robot}_vio.bag"
     if not bags or not odometry.is_file():
         return None
-    return Log(data_set=KIMERA_MULTI.name, scene=folder.name, name=robot, files=(bags[0], odometry))
+    return Log(KIMERA_MULTI.name, folder.name, robot, files=(bags[0], odometry))
 
 
 def _dated(stem: str, robot: str) -> tuple[str, ...]:
@@ -127,12 +110,10 @@ def _dated(stem: str, robot: str) -> tuple[str, ...]:
 def _render(root: Path, name: str, walk: int, plan: Plan, target: Path) -> None:
     world = replica_cad.read_apartment(root, name)
     clearance = clearance_of_surfaces(world)
-    config = RecordingConfig(
-        seed=0, walk_index=walk, seconds=plan.apartment_seconds or _WALK_SECONDS, width=640, height=480
-    )
+    seconds = plan.apartment_seconds or _WALK_SECONDS
+    config = RecordingConfig(seed=0, walk_index=walk, seconds=seconds, width=640, height=480)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([11, walk, attempt])
-        seconds = plan.apartment_seconds or _WALK_SECONDS
         trajectory = wander_through(world, clearance, seconds, config.walk, rng)
         if not isinstance(trajectory, NoWalk):
             film(Stage(world=world, trajectory=trajectory), config, target.parent, target.stem)

@@ -67,16 +67,15 @@ def _scored(log: Log, truth: Path, plan: Plan, shop: Workshop) -> list[dict[str,
 def _cells(name: str, scored: list[dict[str, Any]]) -> tuple[Cell, ...]:
     rows, paper = [row for row in scored if row["name"] == name], NAVIGATION[name]
     if not rows:
-        published = (paper.success, paper.efficiency, paper.build_s, paper.free_space, None)
-        return tuple(Cell(value=None, paper=figure, why="no maps") for figure in published)
+        return tuple(Cell(value=None, paper=figure, why="no maps") for figure in (*paper, None))
     tried = sum(row["pairs"] for row in rows)
     reached = round(sum(row["success"] * row["pairs"] for row in rows))
     low, high = wilson(reached, tried)
     efficiency = [row["efficiency"] for row in rows if row["efficiency"] is not None]
     return (
-        Cell(value=100 * reached / tried, low=100 * low, high=100 * high, num=tried, paper=paper.success),
-        Cell(value=mean_of(efficiency), num=len(efficiency), paper=paper.efficiency),
-        Cell(value=mean_of([row["load_s"] + row["build_s"] for row in rows]), num=len(rows), paper=paper.build_s),
-        Cell(value=mean_of([row["free_space"] for row in rows]), num=len(rows), paper=paper.free_space),
+        Cell(value=100 * reached / tried, low=100 * low, high=100 * high, num=tried, paper=paper[0]),
+        Cell(value=mean_of(efficiency), num=len(efficiency), paper=paper[1]),
+        Cell(value=mean_of([row["load_s"] + row["build_s"] for row in rows]), num=len(rows), paper=paper[2]),
+        Cell(value=mean_of([row["free_space"] for row in rows]), num=len(rows), paper=paper[3]),
         Cell(value=mean_of([float(row["missed_cells"]) for row in rows]), num=len(rows)),
     )

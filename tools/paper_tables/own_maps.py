@@ -7,9 +7,6 @@ import tempfile
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.base.config_text import read_config
 from hickory_stream.base.json_text import dumps
@@ -20,8 +17,6 @@ from hickory_stream.engine.shape_jobs.generators.choose import check_generator, 
 from hickory_stream.engine.shape_jobs.generators.spec import find_spec, generators_folder, read_spec
 from hickory_stream.errors import ConfigError, InputError
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.geometry.rigid import invert
-from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.ports import Reconstructor
 from hickory_stream.progress import ProgressPrinter, Style
@@ -30,7 +25,7 @@ from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import open_source
 from tools.evaluation import alignment_table, navigation_table
-from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
+from tools.evaluation.alignment_truth import true_a_from_b
 from tools.evaluation.views.comparison import compare, format_comparison
 from tools.evaluation.views.trials import ViewTrial, try_views
 
@@ -124,18 +119,13 @@ def _alignment(options: argparse.Namespace) -> None:
     rows = []
     for i in range(0, len(paths), 2):
         a, b = open_map_at(paths[i]), open_map_at(paths[i + 1])
-        true_a_from_b = invert(_world_from(a, truths[i])) @ _world_from(b, truths[i + 1]) if truths else None
+        true = true_a_from_b(a, b, truths[i : i + 2]) if truths else None
         scene, map_a, map_b = f"{paths[i].name} {paths[i + 1].name}", objects_of(a), objects_of(b)
         rows += [
-            alignment_table.row_of(scene, method, align_by(method, map_a, map_b), true_a_from_b)
-            for method in options.method
+            alignment_table.row_of(scene, method, align_by(method, map_a, map_b), true) for method in options.method
         ]
     rows.sort(key=lambda row: options.method.index(row.method))
     print(dumps({"rows": alignment_table.table_json(rows)}) if options.json else alignment_table.format_table(rows))
-
-
-def _world_from(saved: SavedMap, truth: Path) -> NDArray[np.float64]:
-    return world_from_map(saved.snapshot, read_true_trajectory(truth), saved.folder.name)
 
 
 def _navigation(options: argparse.Namespace) -> None:

@@ -77,13 +77,10 @@ def markdown(table: Table) -> str:
 
 def as_csv(table: Table) -> str:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["table", "row", "column", "unit", "value", "low", "high", "num", "paper", "why"])
-    for title, cells in table.rows:
-        for cell, column in zip(cells, table.columns, strict=True):
-            figures = [cell.value, cell.low, cell.high, cell.num, cell.paper]
-            shown = ["" if figure is None else figure for figure in figures]
-            writer.writerow([table.name, title, column.name, column.unit, *shown, cell.why])
+    names = ("table", "row", "column", "unit", "value", "low", "high", "num", "paper", "why")
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({"table": table.name, **row} for row in as_json(table)["rows"])
     return text.getvalue()
 
 

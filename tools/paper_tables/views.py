@@ -33,15 +33,9 @@ def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
     sets = {name: _found(name, data, plan, shop) for name in _ADDS_SHARE}
     rows = []
     for strategy in sorted(STRATEGIES, key=list(_TITLES).index):
-        paper = VIEWS[strategy]
         cells: list[Cell] = []
         for name, found in sets.items():
-            published = (
-                (paper.hope_f1, paper.hope_adds)
-                if name == HOPE.name
-                else (paper.replica_cad_f1, paper.replica_cad_adds)
-            )
-            cells += _cells(name, found if isinstance(found, str) else found[strategy], published)
+            cells += _cells(name, found if isinstance(found, str) else found[strategy], VIEWS[strategy][name])
         rows.append((_TITLES[strategy], tuple(cells)))
     columns = []
     for data_set in (HOPE, REPLICA_CAD):

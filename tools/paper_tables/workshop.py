@@ -21,7 +21,7 @@ from tools.benchmarks.common.processes import ROOT
 _CODE = ("hickory_stream", "players", "tools/evaluation", "tools/paper_tables")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Log:
     """A log of a data set: `files` are what is played, together one log, with `arguments` for `play`."""
 
