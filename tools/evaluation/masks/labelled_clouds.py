@@ -4,8 +4,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,14 +13,14 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
+from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.records import Frame
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, min_pixels, score_masks
 
 FOCAL_PX = 525.0
 """Of the first Kinect at 640 pixels; other widths in proportion."""
 
-_TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "u1", ("U", 2): "<u2", ("U", 4): "<u4", ("I", 4): "<i4"}
-_FIELDS = ("label", "x", "y", "z", "rgba")
+_FIELDS = ("label", "positions", "colors")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -40,23 +40,21 @@ def load_cloud(path: Path) -> LabelledFrame:
     # Labels of one ten (30, 31) are pieces of one thing that something else divides in the image.
     # Raises RecordingError: the file is no organised PCD with the fields label, x, y, z and rgba.
     try:
-        fields, width, height = _read_pcd(path.read_bytes())
-    except (ValueError, KeyError, IndexError) as error:
+        fields, width, height = _organised(path)
+    except (ValueError, IndexError, RuntimeError) as error:
         raise RecordingError(
-            f"{path} is no organised PCD file with the fields {' '.join(_FIELDS)}, ascii excepted: {error}"
+            f"{path} is no organised PCD file with the fields label x y z rgba, ascii excepted: {error}"
         ) from error
-    z = fields["z"].astype(np.float32).reshape(height, width)
-    rgba = fields["rgba"].view(np.uint32).reshape(height, width)
+    points, label = fields["positions"].astype(np.float64), fields["label"].astype(np.int64).reshape(height, width)
+    z = fields["positions"][:, 2].reshape(height, width)
     focal = FOCAL_PX * width / 640
     camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2)
-    points = np.stack([fields[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    label = fields["label"].astype(np.int64).reshape(height, width)
     return LabelledFrame(
         name=path.stem,
         frame=Frame(
             index=0,
             stamp_ns=0,
-            rgb=np.stack([rgba >> 16 & 255, rgba >> 8 & 255, rgba & 255], axis=-1).astype(np.uint8),
+            rgb=fields["colors"].reshape(height, width, 3),
             depth_m=np.where(z > 0, z, np.nan).astype(np.float32),
             camera=camera,
             world_from_camera=_upright(points[np.isfinite(points).all(axis=1)]),
@@ -79,70 +77,18 @@ def clouds_in(folder: Path) -> list[Path]:
     return paths
 
 
-def _read_pcd(data: bytes) -> tuple[dict[str, NDArray[np.generic]], int, int]:
-    header: dict[str, list[str]] = {}
-    at = 0
-    while "DATA" not in header:
-        end = data.index(b"\n", at)
-        words = data[at:end].decode("ascii").split()
-        at = end + 1
-        if words and not words[0].startswith("#"):
-            header[words[0]] = words[1:]
-    width, height = int(header["WIDTH"][0]), int(header["HEIGHT"][0])
-    count = width * height
-    names = header["FIELDS"]
-    types = [np.dtype(_TYPES[kind, int(size)]) for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
-    missing = set(_FIELDS) - set(names)
-    if missing or height < 2:
-        raise ValueError(f"fields {names}, {width}x{height}")
-    kind = header["DATA"][0]
-    if kind == "binary":
-        rows = np.frombuffer(data, dtype=list(zip(names, types, strict=True)), count=count, offset=at)
-        return {name: np.ascontiguousarray(rows[name]) for name in _FIELDS}, width, height
-    if kind != "binary_compressed":
-        raise ValueError(f"DATA {kind}")
-    packed, size = np.frombuffer(data, dtype="<u4", count=2, offset=at)
-    if int(size) != count * sum(t.itemsize for t in types):
-        raise ValueError(f"{size} bytes for {count} points")
-    out = np.zeros(int(size), dtype=np.uint8)
-    if _decompress(np.frombuffer(data, dtype=np.uint8, count=int(packed), offset=at + 8), out) != size:
-        raise ValueError("its compressed data is damaged")
-    fields, start = {}, 0
-    for name, dtype in zip(names, types, strict=True):
-        fields[name] = out[start : start + count * dtype.itemsize].view(dtype)
-        start += count * dtype.itemsize
+def _organised(path: Path) -> tuple[dict[str, NDArray[Any]], int, int]:
+    # Fields (H * W, ...) by name, with the width and the height, which the reader does not keep.
+    open3d = import_open3d()
+    head = path.read_bytes()[:1024].decode("ascii", errors="replace")
+    head = head[: head.index("\nDATA binary")]
+    width, height = (int(head.split(f"\n{name} ")[1].split()[0]) for name in ("WIDTH", "HEIGHT"))
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        cloud = open3d.t.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    fields = {name: cloud.point[name].numpy() for name in _FIELDS if name in cloud.point}
+    if len(fields) < len(_FIELDS) or height < 2 or len(fields["label"]) != width * height:
+        raise ValueError(f"fields {', '.join(fields)}, {width}x{height}")
     return fields, width, height
-
-
-@numba.njit(cache=True)
-def _decompress(packed, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    i, o = 0, 0
-    while i < len(packed):
-        control = np.int64(packed[i])
-        i += 1
-        if control < 32:
-            length = control + 1
-            if i + length > len(packed) or o + length > len(out):
-                return -1
-            out[o : o + length] = packed[i : i + length]
-            i, o = i + length, o + length
-            continue
-        length = control >> 5
-        if length == 7:
-            if i >= len(packed):
-                return -1
-            length += np.int64(packed[i])
-            i += 1
-        if i >= len(packed):
-            return -1
-        back = o - ((control & 31) << 8) - np.int64(packed[i]) - 1
-        i += 1
-        if back < 0 or o + length + 2 > len(out):
-            return -1
-        for k in range(length + 2):
-            out[o + k] = out[back + k]
-        o += length + 2
-    return o
 
 
 def _upright(points: NDArray[np.float64]) -> NDArray[np.float64]:
