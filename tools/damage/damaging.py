@@ -3,7 +3,6 @@
 # Sound logs of all containers hold the same messages.
 
 import mmap
-import sqlite3
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from players.logs.mcap_log import McapLog
 from players.logs.ros1_log import Ros1Log
 from players.logs.sqlite_log import SqliteLog
 from players.logs.sqlite_pages import PageFile
-from tools.worlds.layouts import RosMessages
+from tools.worlds.ros_bags import HumbleDatabase, Ros1Bag, RosMessages
 
 Kind = Literal["cut", "cut_at_boundary", "flip", "zero", "no_footer", "no_index", "shuffle", "huge_length"]
 KINDS = get_args(Kind)
@@ -192,43 +191,17 @@ def write_mcap(path: Path, log: Iterable[tuple[str, int, Any]], compression: str
 def write_bag(
     path: Path, num_frames: int, compression: str, chunk_bytes: int, size: tuple[int, int] = (80, 60)
 ) -> Path:
-    from rosbags.rosbag1 import Writer
-
-    m = RosMessages(1)
-    writer = Writer(path)
-    writer.chunk_threshold = chunk_bytes
-    if compression != "none":
-        writer.set_compression(Writer.CompressionFormat[compression.upper()])
-    with writer:
-        connections: dict[str, Any] = {}
-        for topic, stamp_ns, message in messages(m, num_frames, size):
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=m.store)
-            writer.write(connections[topic], stamp_ns, m.data(message))
+    bag = Ros1Bag(path, compression, chunk_bytes)
+    for topic, stamp_ns, message in messages(bag.messages, num_frames, size):
+        bag.put(topic, stamp_ns, message)
+    bag.close()
     return path
 
 
 def write_sqlite(path: Path, log: Iterator[tuple[str, int, Any]]) -> Path:
-    """Write the database of a ROS 2 bag, as Humble does."""
-    m = RosMessages(2)
-    database = sqlite3.connect(path)
-    database.executescript(
-        "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
-        "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);"
-        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-        " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
-        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
-        " data BLOB NOT NULL); CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
-    )
-    topics: dict[str, int] = {}
+    """Write the database of a ROS 2 bag."""
+    m, database = RosMessages(2), HumbleDatabase(path)
     for topic, stamp_ns, message in log:
-        if topic not in topics:
-            topics[topic] = len(topics) + 1
-            row = (topics[topic], topic, message.__msgtype__, "cdr", "")
-            database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
-        row = (topics[topic], stamp_ns, m.data(message))
-        database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
-    database.commit()
+        database.put(topic, message.__msgtype__, stamp_ns, m.data(message))
     database.close()
     return path

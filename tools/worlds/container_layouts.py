@@ -20,6 +20,7 @@ from hickory_stream.geometry.rigid import (
 )
 from hickory_stream.worlds.zed_log import DepthView, encode_jpeg
 from tools.worlds.image_folders import FolderLog
+from tools.worlds.ros_bags import Ros1Bag
 
 COLOR_FROM_DEPTH = from_rotation_translation(
     rotation_of_vector(np.array([0.004, -0.01, 0.006])), np.array([0.025, -0.002, 0.001])
@@ -130,15 +131,9 @@ class ViewerBag(ContainerLog):
     ending, lag_ns, unit_m, version = ".bag", 4_000_000, 1e-4, "1"
 
     def __init__(self, path: Path, camera: Camera, jpeg_quality: int) -> None:
-        from rosbags.rosbag1 import Writer
-
-        from tools.worlds.layouts import RosMessages
-
         super().__init__(path, camera, jpeg_quality)
-        self.messages, self.bag, self.start_ns = RosMessages(1), Writer(path), 0
-        self.bag.set_compression(Writer.CompressionFormat.LZ4)
-        self.bag.open()
-        self.connections: dict[str, Any] = {}
+        self.bag, self.start_ns = Ros1Bag(path), 0
+        self.messages = self.bag.messages
 
     def write_static(self, stamp_ns: int) -> None:
         m, self.start_ns = self.messages, stamp_ns
@@ -162,10 +157,7 @@ class ViewerBag(ContainerLog):
             self.put(f"/device_0/{stream}/image/data", at_ns - self.start_ns + 10**8, image, unit)
 
     def put(self, topic: str, log_ns: int, message: Any, more: bytes = b"") -> None:
-        if topic not in self.connections:
-            kind, store = message.__msgtype__, self.messages.store
-            self.connections[topic] = self.bag.add_connection(topic, kind, typestore=store)
-        self.bag.write(self.connections[topic], log_ns, self.messages.data(message) + more)
+        self.bag.put(topic, log_ns, message, more)
 
     def finish(self) -> None:
         self.bag.close()

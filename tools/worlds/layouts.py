@@ -3,48 +3,17 @@
 # of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
 
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
-from hickory_stream.worlds import ros_messages
 from hickory_stream.worlds.zed_log import COLOR_ENCODING, DepthView, LogWriter, ZedLog, encode_jpeg
 from tools.worlds.container_layouts import CONTAINER_LOGS
 from tools.worlds.image_folders import FOLDER_LOGS
-
-
-class RosMessages(ros_messages.RosMessages):
-    """Builds and serialises messages of ROS 1 or ROS 2."""
-
-    def __init__(self, ros: Literal[1, 2]) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        super().__init__()
-        self.ros = ros
-        if ros == 1:
-            self.camera_matrices = ("D", "K", "R", "P")
-            self.more_of_header = MappingProxyType({"seq": 0})
-            self.store = get_typestore(Stores.ROS1_NOETIC)
-            transforms = "geometry_msgs/TransformStamped[] transforms"
-            self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
-
-    def data(self, message: Any) -> bytes:
-        if self.ros == 1:
-            return bytes(self.store.serialize_ros1(message, message.__msgtype__))
-        return super().data(message)
-
-    def image(self, stamp_ns: int, frame_id: str, encoding: str, pixels: NDArray[Any]) -> Any:
-        """Return an Image of (H, W) or (H, W, C) pixels, without padding."""
-        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
-        return self.make(
-            "sensor_msgs/msg/Image", header=self.header(stamp_ns, frame_id), height=pixels.shape[0],
-            width=pixels.shape[1], encoding=encoding, is_bigendian=0, step=rows.shape[1], data=rows.ravel(),
-        )  # fmt: skip
-
+from tools.worlds.ros_bags import HumbleDatabase, Ros1Bag, RosMessages
 
 LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg", *FOLDER_LOGS, *CONTAINER_LOGS)
 
@@ -115,29 +84,20 @@ class KimeraMultiLog:
     odometry_step_ns = 195_000_000
 
     def __init__(self, folder: Path, name: str, camera: Camera, jpeg_quality: int) -> None:
-        from rosbags.rosbag1 import Writer
-
-        self._messages = RosMessages(1)
         self._jpeg_quality = jpeg_quality
         self._camera = camera
         depth = _resized(Camera(width=640, height=480, fx=381.2355, fy=381.2355, cx=321.2549, cy=237.6025), camera)
         self.depth_view: DepthView | None = DepthView(
             camera=depth, color_from_depth=np.linalg.inv(self.infra1_from_color), lag_ns=7_300_000
         )
-        self._bags = [Writer(folder / file) for file in layout_files("kimera_multi", name)]
-        for bag in self._bags:
-            bag.set_compression(Writer.CompressionFormat.LZ4)
-        self._connections: dict[str, Any] = {}
+        self._bags = [Ros1Bag(folder / file) for file in layout_files("kimera_multi", name)]
+        self._messages = self._bags[0].messages
         self._odometry_ns = 0
 
     def __enter__(self) -> Self:
-        for bag in self._bags:
-            bag.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for bag in self._bags:
             bag.close()
 
@@ -181,12 +141,7 @@ class KimeraMultiLog:
         self._put(0, "forward/depth/camera_info", depth_ns, info)
 
     def _put(self, bag: int, name: str, stamp_ns: int, message: Any) -> None:
-        topic = f"/{self.robot}/{name}"
-        if topic not in self._connections:
-            self._connections[topic] = self._bags[bag].add_connection(
-                topic, message.__msgtype__, typestore=self._messages.store
-            )
-        self._bags[bag].write(self._connections[topic], stamp_ns + self.log_offset_ns, self._messages.data(message))
+        self._bags[bag].put(f"/{self.robot}/{name}", stamp_ns + self.log_offset_ns, message)
 
 
 class NusClbLog:
@@ -216,41 +171,21 @@ class NusClbLog:
         self._lidar_ns = 0
 
     def __enter__(self) -> Self:
-        import sqlite3
-
         self._folder.mkdir(parents=True)
-        self._database = sqlite3.connect(self._folder / self._file, isolation_level=None)
-        # Schema version 3, as ROS 2 Humble writes it: no message definitions.
-        self._database.executescript(
-            "PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;"
-            "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
-            "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);"
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-            " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
-            " data BLOB NOT NULL);"
-            "CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
-            "INSERT INTO schema VALUES (3, 'humble'); BEGIN"
-        )
-        self._topics: dict[str, tuple[int, str]] = {}
+        self._database = HumbleDatabase(self._folder / self._file)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._database.execute("COMMIT")
-        counts = dict(self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
-        (low, high), *_ = self._database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
-        self._database.close()
+    def __exit__(self, *_: object) -> None:
+        counts, low, high = self._database.close()
         topics = "".join(
             f"    - topic_metadata:\n        name: {name}\n        type: {kind_}\n        serialization_format: cdr\n"
             f'        offered_qos_profiles: ""\n      message_count: {counts.get(number, 0)}\n'
-            for name, (number, kind_) in self._topics.items()
+            for name, (number, kind_) in self._database.topics.items()
         )
         (self._folder / "metadata.yaml").write_text(
             "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: sqlite3\n"
-            f"  duration:\n    nanoseconds: {(high or 0) - (low or 0)}\n"
-            f"  starting_time:\n    nanoseconds_since_epoch: {low or 0}\n  message_count: {sum(counts.values())}\n"
+            f"  duration:\n    nanoseconds: {high - low}\n"
+            f"  starting_time:\n    nanoseconds_since_epoch: {low}\n  message_count: {sum(counts.values())}\n"
             f'  topics_with_message_count:\n{topics}  compression_format: ""\n  compression_mode: ""\n'
             f"  relative_file_paths:\n    - {self._file}\n",
             encoding="utf-8",
@@ -305,14 +240,7 @@ class NusClbLog:
         self._put_bytes(topic, message.__msgtype__, stamp_ns, self._messages.data(message))
 
     def _put_bytes(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
-        if topic not in self._topics:
-            self._topics[topic] = (len(self._topics) + 1, kind)
-            row = (self._topics[topic][0], topic, kind, "cdr", "")
-            self._database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
-        self._database.execute(
-            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-            (self._topics[topic][0], stamp_ns + 30_000_000, data),
-        )
+        self._database.put(topic, kind, stamp_ns + 30_000_000, data)
 
 
 def _resized(camera: Camera, like: Camera) -> Camera:

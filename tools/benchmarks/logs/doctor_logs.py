@@ -23,7 +23,7 @@ from players import SourceOptions
 from players.doctor.diagnosis import SOUND, examine
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.damage.damaging import write_mcap
-from tools.worlds.layouts import RosMessages
+from tools.worlds.ros_bags import RosMessages
 
 _DEMO = Path("recordings/demo.mcap")
 _SECONDS, _LONG_S, _QUICK_LONG_S = 6.0, 600.0, 120.0

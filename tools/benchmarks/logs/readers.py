@@ -13,7 +13,7 @@ from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s, json_of
 from tools.benchmarks.logs import damaged_logs
 from tools.damage.damaging import messages, write_bag, write_mcap, write_small_logs
-from tools.worlds.layouts import RosMessages
+from tools.worlds.ros_bags import RosMessages
 
 _SIZE = (640, 480)
 _FRAME_MB = 640 * 480 * 5 / 1e6  # rgb8 and 16UC1
