@@ -6,7 +6,7 @@ from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.record import record_of
 from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import solve
-from tools.benchmarks.poses.pose_graphs import simulated_graph
+from tools.evaluation.simulated_maps.simulated_graphs import simulated_graph
 
 START_NS = 1_700_000_000_000_000_000
 

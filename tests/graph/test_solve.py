@@ -13,7 +13,7 @@ from hickory_stream.graph.gate import difference
 from hickory_stream.graph.gtsam_solver import Factors
 from hickory_stream.graph.solution import NoSolution, Solution
 from hickory_stream.graph.solve import GATE_CHI2, INLIER_CHI2, node_covariances, relative_covariances, solve
-from tools.benchmarks.poses.pose_graphs import simulated_graph
+from tools.evaluation.simulated_maps.simulated_graphs import simulated_graph
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = GraphConfig()
@@ -250,7 +250,7 @@ _PROGRAM = """
 import hashlib, numpy as np
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.solve import node_covariances, solve
-from tools.benchmarks.poses.pose_graphs import simulated_graph
+from tools.evaluation.simulated_maps.simulated_graphs import simulated_graph
 walk = simulated_graph(np.random.default_rng(3), GraphConfig(), num_nodes=120, num_loops=16, num_wrong=4)
 answer = solve(walk.graph)
 parts = (answer.world_from_node, node_covariances(walk.graph, answer), answer.loop_weights)

@@ -20,6 +20,12 @@ class DriftConfig:
     correlation_m: float = 8.0
 
 
+def drift_of(factor: float) -> DriftConfig:
+    """Return so many times the default drift."""
+    default = DriftConfig()
+    return DriftConfig(scale=factor * default.scale, yaw_deg_per_m=factor * default.yaw_deg_per_m)
+
+
 def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generator) -> Trajectory:
     """Return the trajectory as odometry reports it."""
     return replace(trajectory, world_from_camera=drifted_poses(trajectory.world_from_camera, config, rng))

@@ -25,9 +25,9 @@ from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
 from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, mean
-from tools.benchmarks.poses.drift_logs import FACTORS, DriftingWalk, Poses, drift_of, drifting_walks
+from tools.benchmarks.poses.drift_logs import FACTORS, DriftingWalk, Poses, drifting_walks
 from tools.evaluation.masks.first_layer import keyframes_of
-from tools.worlds.drift import drifted_poses
+from tools.worlds.drift import drift_of, drifted_poses
 
 CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 

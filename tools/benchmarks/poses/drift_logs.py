@@ -7,7 +7,7 @@ rendering.
 
 import runpy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from players import open_source
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.foreign.logs import PROGRAM, WorldLog, foreign_log, recorded, worlds_folder
 from tools.evaluation.simulated_maps.moved_source import MovedSource
-from tools.worlds.drift import DriftConfig, drifted, drifted_poses
+from tools.worlds.drift import drift_of, drifted, drifted_poses
 from tools.worlds.recording_config import RecordingConfig, walkable_world
 
 Poses = dict[int, NDArray[np.float64]]
@@ -35,7 +35,6 @@ FACTORS = (1.0, 3.0)
 _SECONDS, _RATE_HZ = 100.0, 3.0
 _OWN = RecordingConfig(scene="apartment", seed=24, seconds=_SECONDS, rate_hz=_RATE_HZ, width=640, height=480)
 _FOREIGN, _FOREIGN_SEED = "home", 1
-_DEFAULT = DriftConfig()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,11 +60,6 @@ def drifting_walks(options: Options) -> list[DriftingWalk]:
     except RecordingError:
         return walks
     return [*walks, _foreign_walk(worlds)]
-
-
-def drift_of(factor: float) -> DriftConfig:
-    """Return so many times the default drift of our worlds."""
-    return replace(_DEFAULT, scale=factor * _DEFAULT.scale, yaw_deg_per_m=factor * _DEFAULT.yaw_deg_per_m)
 
 
 def drifting(true: Poses, factor: float, seed: Sequence[int]) -> Poses:

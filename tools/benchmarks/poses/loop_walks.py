@@ -21,10 +21,10 @@ from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import wilson
 from tools.benchmarks.common.processes import NO_SHAPES
-from tools.benchmarks.poses.drift_logs import Poses, drift_of
+from tools.benchmarks.poses.drift_logs import Poses
 from tools.benchmarks.poses.loops import is_near
 from tools.evaluation.simulated_maps.moved_source import MovedSource
-from tools.worlds.drift import drifted_poses
+from tools.worlds.drift import drift_of, drifted_poses
 
 _CAMERA = Camera(width=160, height=120, fx=90.0, fy=90.0, cx=79.5, cy=59.5)
 _NUM_ROOMS, _PITCH_M, _DEPTH_M, _WALL_M, _HIGH_M = 4, 4.1, 3.2, 0.1, 2.4

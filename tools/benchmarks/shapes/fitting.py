@@ -16,9 +16,9 @@ from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
 from tools.benchmarks.shapes.foreign_shapes import foreign_figures
 from tools.benchmarks.shapes.rows import Row, disturbed, fit, of_diameter_one, rotation, row_of, warm_up
-from tools.benchmarks.shapes.solids import is_inside
 from tools.evaluation.shape_score import shape_score
 from tools.evaluation.shapes.meshes import MESH_NAMES, hollow_mesh, test_mesh
+from tools.evaluation.shapes.solids import is_inside
 from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 _HOLLOW = ("hollow mug", "bowl")

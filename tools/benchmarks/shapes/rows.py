@@ -15,8 +15,8 @@ from hickory_stream.shapes.fit.marching_primitives import FitConfig, Fitted, fit
 from hickory_stream.shapes.inflate.inflation import InflateConfig, Inflated, inflated
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.common.processes import best_s
-from tools.benchmarks.shapes.solids import Solid, grown_volume_ratio, sampled_iou, surface_distance_pct, volumetric_iou
 from tools.evaluation.shapes.meshes import test_mesh
+from tools.evaluation.shapes.solids import Solid, grown_volume_ratio, sampled_iou, surface_distance_pct, volumetric_iou
 from tools.evaluation.shapes.spoiled_generator import plain_mesh
 
 MARGIN_M = 0.05
