@@ -64,7 +64,7 @@ def test_probabilities_are_compared_with_the_rate_of_success():
             (Verdict.NEW, None, 99, 1.0),  # no true object
         )
     ]
-    true = TrueChanges(stayed=(1,), moved=(2,), gone=(3,), new=(4,), exchanged=())
+    true = TrueChanges(stayed=(1,), moved=(2,), gone=(3,), new=(4,))
     found = judged(told, true, {11: 1, 12: 2, 13: 3}, {21: 1, 22: 2, 24: 4})
     assert [right for _, right in found] == [True, False, True, True, False, True, True]
     counts = PairCounts(

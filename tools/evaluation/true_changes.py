@@ -13,12 +13,10 @@ _SAME_M, _SAME_TURN = 0.01, 0.02
 class TrueChanges:
     """Ids of the objects that stayed, that were moved, that are gone and that are new, each sorted."""
 
-    # `exchanged` are pairs of one that is gone and a new one in its very place; they are in `gone` and `new` as well.
     stayed: tuple[int, ...]
     moved: tuple[int, ...]
     gone: tuple[int, ...]
     new: tuple[int, ...]
-    exchanged: tuple[tuple[int, int], ...]
 
 
 def true_changes(a: Truth, b: Truth) -> TrueChanges:
@@ -27,10 +25,7 @@ def true_changes(a: Truth, b: Truth) -> TrueChanges:
     both = sorted(before.keys() & after.keys())
     moved = tuple(i for i in both if not _is_same(before[i], after[i]))
     gone, new = tuple(sorted(before.keys() - after.keys())), tuple(sorted(after.keys() - before.keys()))
-    return TrueChanges(
-        stayed=tuple(i for i in both if i not in moved), moved=moved, gone=gone, new=new,
-        exchanged=tuple((i, j) for i in gone for j in new if _is_same(before[i], after[j])),
-    )  # fmt: skip
+    return TrueChanges(stayed=tuple(i for i in both if i not in moved), moved=moved, gone=gone, new=new)
 
 
 def _is_same(one: np.ndarray, other: np.ndarray) -> bool:

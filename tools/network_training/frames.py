@@ -9,7 +9,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,16 +65,7 @@ class KeptFrames(Sequence[TrueFrame]):
     def __len__(self) -> int:
         return len(self._kept)
 
-    @overload
-    def __getitem__(self, index: int) -> TrueFrame: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[TrueFrame]: ...
-
-    def __getitem__(self, index: int | slice) -> TrueFrame | list[TrueFrame]:
-        """Return a frame, or those of a slice."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def __getitem__(self, index: int) -> TrueFrame:
         kept = self._kept[index]
         fx, fy, cx, cy = kept["camera"].tolist()
         return TrueFrame(

@@ -37,6 +37,17 @@ class Pair:
         return self.logs[0].scene
 
 
+def logs_of(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, Path]]:
+    """Return the logs of a data set with their truths."""
+    if name == HOPE.name:
+        return [(log, log.files[0]) for log in hope_logs(data, plan)]
+    if name == REPLICA_CAD.name:
+        pairs = apartment_pairs(data, plan, shop)
+    else:
+        pairs = kimera_pairs(data, plan) if name == KIMERA_MULTI.name else nus_pairs(data, plan)
+    return [found for pair in pairs for found in zip(pair.logs, pair.truths, strict=True)]
+
+
 def hope_logs(data: Path, plan: Plan) -> list[Log]:
     root = HOPE.folder(data)
     folders = [] if root is None else sorted(folder for folder in root.glob("hope_video/scene_*") if folder.is_dir())

@@ -9,7 +9,8 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.robot import load_robot
 from tools.benchmarks.common.intervals import wilson
 from tools.evaluation.navigation_table import score_saved_map, table_json
-from tools.paper_tables.logs import apartment_pairs
+from tools.paper_tables.data_sets import REPLICA_CAD
+from tools.paper_tables.logs import logs_of
 from tools.paper_tables.published import NAVIGATION
 from tools.paper_tables.tables import Cell, Column, Table, mean_of
 from tools.paper_tables.workshop import Log, Plan, Workshop, refusal
@@ -23,9 +24,8 @@ def navigation_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Ta
     scored: list[list[dict[str, Any]]] = []
     notes = []
     try:
-        for pair in apartment_pairs(data, plan, shop):
-            for log, truth in zip(pair.logs, pair.truths, strict=True):
-                scored.append(_scored(log, truth, plan, shop))
+        for log, truth in logs_of(REPLICA_CAD.name, data, plan, shop):
+            scored.append(_scored(log, truth, plan, shop))
     except (HickoryError, ValueError) as error:
         notes.append(f"not measured: {str(error).splitlines()[0]}" if isinstance(error, ValueError) else refusal(error))
     rows = [(title, _cells(name, [row for rows in scored for row in rows])) for name, title in _TITLES.items()]

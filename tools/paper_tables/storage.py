@@ -7,7 +7,7 @@ from typing import Any
 from hickory_stream.errors import HickoryError
 from hickory_stream.map_folder.saved_map import open_map
 from tools.paper_tables.data_sets import DATA_SETS
-from tools.paper_tables.logs import apartment_pairs, hope_logs, kimera_pairs, nus_pairs
+from tools.paper_tables.logs import logs_of
 from tools.paper_tables.published import NUM_OBJECTS, STORAGE
 from tools.paper_tables.tables import Cell, Column, Table, mean_of
 from tools.paper_tables.workshop import Log, Plan, Workshop, refusal
@@ -52,22 +52,10 @@ def storage_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table
 
 def _measured(name: str, data: Path, plan: Plan, shop: Workshop) -> list[dict[str, float]] | str:
     try:
-        found = [_map_figures(log, shop) for log in _logs(name, data, plan, shop)]
+        found = [_map_figures(log, shop) for log, _ in logs_of(name, data, plan, shop)]
     except HickoryError as error:
         return refusal(error)
     return found or "no logs"
-
-
-def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[Log]:
-    match name:
-        case "hope":
-            return hope_logs(data, plan)
-        case "replica_cad":
-            return [log for pair in apartment_pairs(data, plan, shop) for log in pair.logs]
-        case "kimera_multi":
-            return [log for pair in kimera_pairs(data, plan) for log in pair.logs]
-        case _:
-            return [log for pair in nus_pairs(data, plan) for log in pair.logs]
 
 
 def _map_figures(log: Log, shop: Workshop) -> dict[str, float]:

@@ -15,7 +15,7 @@ from players import open_source
 from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.evaluation.views.trials import STRATEGIES, try_views
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
-from tools.paper_tables.logs import apartment_pairs, hope_logs
+from tools.paper_tables.logs import logs_of
 from tools.paper_tables.published import VIEWS
 from tools.paper_tables.tables import Cell, Column, Table
 from tools.paper_tables.workshop import Log, Plan, Workshop, identity_of, refusal
@@ -58,18 +58,11 @@ def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
 
 def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
     try:
-        logs = _logs(name, data, plan, shop)
+        logs = logs_of(name, data, plan, shop)
         rows = [row for log, truth in logs for row in _objects(log, truth, shop)]
     except HickoryError as error:
         return refusal(error)
     return {strategy: [row[strategy] for row in rows] for strategy in STRATEGIES} if logs else "no logs"
-
-
-def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, Path]]:
-    if name == HOPE.name:
-        return [(log, log.files[0]) for log in hope_logs(data, plan)]
-    pairs = apartment_pairs(data, plan, shop)
-    return [(log, truth) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
 
 
 def _objects(log: Log, folder: Path, shop: Workshop) -> list[Any]:

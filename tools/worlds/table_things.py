@@ -6,6 +6,7 @@ from hickory_stream.worlds.furniture import vessel
 from hickory_stream.worlds.object_models import Model, Part, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import coat, fabric, glaze, plain, wood
 from hickory_stream.worlds.textures import Texture
+from tools.worlds.clutter.draws import about_y
 
 
 def television(rng: np.random.Generator) -> Model:
@@ -130,7 +131,7 @@ def carton(rng: np.random.Generator) -> Model:
     gable = rounded_box((0.012, width * 0.98, 0.045), paper, at=(0, 0, height + 0.02), radius_m=0.003)
     roof = [
         rounded_box((width * 0.62, width * 0.98, 0.012), paper, radius_m=0.003).moved(
-            (side * width * 0.22, 0, height + 0.014), _about_y(side * 0.55)
+            (side * width * 0.22, 0, height + 0.014), about_y(side * 0.55)
         )
         for side in (-1, 1)
     ]
@@ -214,12 +215,7 @@ def clock(rng: np.random.Generator) -> Model:
     face = lathe([(0, -0.004), (0.38 * size, -0.004), (0.38 * size, 0.004), (0, 0.004)], plain((0.94, 0.93, 0.88)))
     parts: tuple[Part, ...] = (
         rounded_box((0.07, size, size), case, at=(0, 0, size / 2), radius_m=0.012),
-        face.moved((0.036, 0, size / 2), _about_y(np.pi / 2)),
+        face.moved((0.036, 0, size / 2), about_y(np.pi / 2)),
         rounded_box((0.008, 0.008, 0.3 * size), plain((0.1, 0.1, 0.1)), at=(0.041, 0, 0.62 * size), radius_m=0.002),
     )
     return Model(kind="clock", parts=parts)
-
-
-def _about_y(angle_rad: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -49,7 +49,7 @@ def counted(
     old = _old_ids(truth)
     true = TrueChanges(
         stayed=tuple(sorted((at_end - changed) & old)), moved=tuple(sorted(changed & at_end)),
-        gone=tuple(sorted(changed - at_end)), new=tuple(sorted(at_end - changed - old)), exchanged=(),
+        gone=tuple(sorted(changed - at_end)), new=tuple(sorted(at_end - changed - old)),
     )  # fmt: skip
     return counts_of(true, held, gone, moved, new)
 

@@ -100,13 +100,11 @@ class ViewTrial:
     """A true object that counts, and what each choice of a view made of it."""
 
     # `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
-    # shape. It is empty for an object that the map misses. `num_tried` views of `num_views` were reconstructed.
+    # shape. It is empty for an object that the map misses.
     truth_id: int
     kind: str
     diameter_m: float
     scores: Mapping[str, SurfaceScore | None]
-    num_views: int = 0
-    num_tried: int = 0
 
 
 def try_views(
@@ -191,7 +189,7 @@ def _trial(
     scores = {name: _score(of, name, true, reconstructor, folder, seed=row.truth_id) for name in names}
     by_strategy = {strategy: scores.get(view.name) for strategy, view in chosen.items()}
     best = max((one for one in scores.values() if one is not None), key=lambda one: one.f1_5pct, default=None)
-    return replace(blank, scores={**by_strategy, BEST: best}, num_views=len(kept), num_tried=len(scores))
+    return replace(blank, scores={**by_strategy, BEST: best})
 
 
 def _score(
