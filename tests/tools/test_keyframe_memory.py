@@ -1,4 +1,5 @@
 import pytest
+from hickory_stream.errors import HickoryError
 from tools.benchmarks.perception.keyframe_memory import keyframe_memory
 
 
@@ -12,5 +13,5 @@ def test_the_count_exceeds_the_weights_and_does_not_grow(demo_log):
 
 
 def test_a_child_that_fails_says_why(tmp_path):
-    with pytest.raises(RuntimeError, match=r"ended with 1: .*no such file or folder: .*absent\.mcap"):
+    with pytest.raises(HickoryError, match=r"no such file or folder: .*absent\.mcap"):
         keyframe_memory(tmp_path / "absent.mcap", keyframes=1, rounds=1)

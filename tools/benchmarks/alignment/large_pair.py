@@ -1,13 +1,12 @@
-"""One alignment of a large simulated pair in a process of its own, which imports nothing else: its time and memory."""
+"""One alignment of a large simulated pair in a process of its own: its time and memory."""
 
 import resource
-import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.base.json_text import dumps
+from tools.benchmarks.common.processes import in_child
 from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.trial import overlap_b
@@ -22,11 +21,10 @@ class LargePair:
     peak_mb: float
 
 
-def large_pair(seed: int, num_objects: int, difficulty: str) -> LargePair:
+def large_pair(seed: int, num_objects: int, difficulty: Difficulty) -> LargePair:
     """Return the costs of one alignment; a quarter of the objects is in both maps."""
-    from tools.benchmarks.common.processes import json_of
-
-    return LargePair(**json_of("-m", __name__, seed, num_objects, difficulty))
+    found: LargePair = in_child(_measured, seed, num_objects, difficulty)
+    return found
 
 
 def _measured(seed: int, num_objects: int, difficulty: Difficulty) -> LargePair:
@@ -40,7 +38,3 @@ def _measured(seed: int, num_objects: int, difficulty: Difficulty) -> LargePair:
     is_found = isinstance(answer, Alignment) and error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return LargePair(is_found=is_found, seconds=seconds, peak_mb=peak_mb)
-
-
-if __name__ == "__main__":
-    print(dumps(asdict(_measured(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]))))

@@ -8,7 +8,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import IO, Any
 
@@ -123,6 +125,12 @@ def output_of(*arguments: object) -> str:
 def json_of(*arguments: object) -> Any:
     """Return the JSON in the last line of the output of our interpreter, as `output_of`."""
     return json.loads(output_of(*arguments).splitlines()[-1])
+
+
+def in_child(work: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """Return the result of a function of a module in a spawned process of its own, or raise its error."""
+    with ProcessPoolExecutor(1, get_context("spawn"), initializer=die_with_parent) as pool:
+        return pool.submit(work, *arguments, **named).result()
 
 
 def best_s(work: Callable[[], object], repeats: int = 4, clock: Callable[[], float] = time.process_time) -> float:

@@ -1,8 +1,6 @@
 """A live run of the in-memory scene at 30 Hz and 640x480, in a process of its own: part of `tools/bench engine`."""
-# Three times: with perception slowed by a factor, with the embedded one as it is, and with a sink that stalls besides;
-# each prints one line of JSON.
+# Three times: with perception slowed by a factor, with the embedded one as it is, and with a sink that stalls besides.
 
-import argparse
 import asyncio
 import time
 from pathlib import Path
@@ -12,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.config_text import read_config
-from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
@@ -90,19 +87,15 @@ def keyframe_steps(out: Path) -> list[Step]:
         return [step for step in map(journal.step, range(len(journal))) if step.kind == "keyframe"]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--seconds", type=float, required=True)
-    parser.add_argument("--slower", type=float, required=True)
-    parser.add_argument("--stall", type=float, required=True)
-    options = parser.parse_args()
-    peak_mb = watched_peak_mb()
+def overloads(out: Path, seconds: float, slower: float, stall_s: float) -> list[dict[str, float]]:
+    """Return the figures of the runs that `_run` makes into a folder, with the peak memory of this process so far."""
+    peak_mb, found = watched_peak_mb(), []
     # Compilation on first use is not measured.
-    asyncio.run(_run(options.out, 0.5, 1.0, 0.0))
-    for slower, stall_s in ((options.slower, 0.0), (1.0, 0.0), (1.0, options.stall)):
-        asyncio.run(_run(options.out, options.seconds, slower, stall_s))
-        print(dumps({**_measured(options.out), "peak_mb": peak_mb[0]}), flush=True)
+    asyncio.run(_run(out, 0.5, 1.0, 0.0))
+    for factor, stall in ((slower, 0.0), (1.0, 0.0), (1.0, stall_s)):
+        asyncio.run(_run(out, seconds, factor, stall))
+        found.append({**_measured(out), "peak_mb": peak_mb[0]})
+    return found
 
 
 async def _run(out: Path, seconds: float, slower: float, stall_s: float) -> None:
@@ -126,7 +119,3 @@ def _measured(out: Path) -> dict[str, float]:
         "unaccounted": float(frames["read"] - sum(frames.get(fate, 0) for fate in _FATES)),
         "latency_keyframes": float(latency_s / periods_s.mean()) if len(periods_s) else 0.0,
     }
-
-
-if __name__ == "__main__":
-    main()

@@ -2,17 +2,15 @@
 # The memory of the process before is subtracted. Memory that a later round takes beyond the first was not released.
 # Linux alone.
 
-import sys
 from collections import deque
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 
-from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
 from hickory_stream.perception.choose import make_segmenter
-from tools.benchmarks.common.processes import json_of, resident_mb
+from tools.benchmarks.common.processes import in_child, resident_mb
 from tools.evaluation.masks.first_layer import keyframes_of, play_first_layer
 
 WARM_KEYFRAMES = 5
@@ -34,7 +32,8 @@ class KeyframeMemory:
 
 def keyframe_memory(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
     """Return the memory of layer 1 on the first keyframes of a log, measured in a child process."""
-    return KeyframeMemory(**json_of("-m", __name__, log, keyframes, rounds))
+    found: KeyframeMemory = in_child(_measured, log, keyframes=keyframes, rounds=rounds)
+    return found
 
 
 def _measured(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
@@ -56,7 +55,3 @@ def _measured(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
         # The system updates the peak a little late, by up to some hundred kilobytes.
         rounds_mb=max(0.0, last_mb - first_mb[-1]),
     )
-
-
-if __name__ == "__main__":
-    print(dumps(asdict(_measured(Path(sys.argv[1]), keyframes=int(sys.argv[2]), rounds=int(sys.argv[3])))))

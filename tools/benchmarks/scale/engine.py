@@ -22,8 +22,9 @@ import psutil
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import ROOT, finished, output_of, overridden, play_coarsely
+from tools.benchmarks.common.processes import ROOT, finished, in_child, overridden, play_coarsely
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder
+from tools.benchmarks.live.overload import overloads
 from tools.benchmarks.scale.processors import digest_on, variants
 
 _SLOWER = 10.0
@@ -253,9 +254,8 @@ def _of_stops(work: Work) -> list[Figure]:
 
 def _live(work: Work) -> None:
     for _ in work.repetitions.missing(1):
-        options = ("--seconds", work.sample.live_s, "--slower", _SLOWER, "--stall", work.sample.stall_s)
-        lines = output_of("-m", "tools.benchmarks.live.overload", work.folder / "live", *options).splitlines()
-        work.repetitions.add(runs=[json.loads(line) for line in lines[-3:]])
+        runs = in_child(overloads, work.folder / "live", work.sample.live_s, _SLOWER, work.sample.stall_s)
+        work.repetitions.add(runs=runs)
 
 
 def _of_live(work: Work) -> list[Figure]:

@@ -1,21 +1,19 @@
 """Times of readers of a large map, in a process of its own: opening, looking back, a path, a picture."""
 # Processor time; the first path, which loads kernels, is not counted. Opening and the picture do count loading.
 
-import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.base.json_text import dumps
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import first_path
 from hickory_stream.pictures.render import render_map
-from tools.benchmarks.common.processes import json_of
+from tools.benchmarks.common.processes import in_child
 
 _PICTURE_PX = (1600, 800)
 _TRIES = 20
@@ -40,7 +38,8 @@ class Reading:
 
 
 def reading_of(folder: Path) -> Reading:
-    return Reading(**json_of("-m", __name__, folder))
+    found: Reading = in_child(_measured, folder)
+    return found
 
 
 def _measured(folder: Path) -> Reading:
@@ -86,7 +85,3 @@ def _paths(saved: SavedMap, places: list[np.ndarray]) -> tuple[float, list[float
         if path is not None and i:  # the first one loads kernels
             found_ms.append(1e3 * (time.process_time() - started))
     return space_seconds, found_ms
-
-
-if __name__ == "__main__":
-    print(dumps(asdict(_measured(Path(sys.argv[1])))))

@@ -20,7 +20,7 @@ from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import SourceOptions, make_source_note, open_from_note
-from tools.benchmarks.common.processes import folder_mb, json_of
+from tools.benchmarks.common.processes import folder_mb, in_child
 
 STAGE_BUDGETS_MS = {
     "reading": 6.0, "perception": 45.0, "registration": 13.0, "deciding": 20.0, "shapes": 62.0, "writing": 12.0,
@@ -65,7 +65,8 @@ class StageTimes:
 
 
 def stage_times(log: Path, out: Path) -> StageTimes:
-    return StageTimes(**json_of("-m", __name__, log, out))
+    found: StageTimes = in_child(_measured, log, out, [], None)
+    return found
 
 
 class _Clock:
