@@ -10,7 +10,7 @@ import numpy as np
 
 from players import open_source
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import best_s, json_of
+from tools.benchmarks.common.processes import best_s, in_child, resident_mb
 from tools.benchmarks.logs import damaged_logs
 from tools.damage.damaging import messages, write_bag, write_mcap, write_small_logs
 from tools.worlds.ros_bags import RosMessages
@@ -18,16 +18,6 @@ from tools.worlds.ros_bags import RosMessages
 _SIZE = (640, 480)
 _FRAME_MB = 640 * 480 * 5 / 1e6  # rgb8 and 16UC1
 _RATIO_FRAMES = round(500 / _FRAME_MB)
-_PEAK = """
-import sys
-from players import open_source
-from tools.benchmarks.common.processes import resident_mb
-peak = 0.0
-for frame in open_source(sys.argv[1]).frames():
-    if frame.index % 10 == 0:
-        peak = max(peak, resident_mb())
-print(peak)
-"""
 
 
 def measure(options: Options) -> list[Figure]:
@@ -84,10 +74,14 @@ def _memory_growth(folder: Path, *sizes_mb: float) -> Figure:
     peaks, log = [], folder / "memory.mcap"
     for size_mb in sizes_mb:
         write_mcap(log, messages(RosMessages(2), round(size_mb / _FRAME_MB), _SIZE), "none", 4 << 20)
-        peaks.append(json_of("-c", _PEAK, log))
+        peaks.append(in_child(_peak_mb, log))
         print(f"  memory: {peaks[-1]:.0f} MB at {size_mb} MB")
     log.unlink()
     return figure("memory_growth_mb", max(0.0, peaks[1] - peaks[0]), "MB", "lower")
+
+
+def _peak_mb(log: Path) -> float:
+    return max(resident_mb() for frame in open_source(log).frames() if frame.index % 10 == 0)
 
 
 def _layouts_equal(folder: Path) -> bool:
