@@ -64,19 +64,12 @@ def test_boxes_apart_are_instances_and_the_floor_is_structure(segmenter):
     assert result.floor_z_m == pytest.approx(0.0, abs=0.03)
 
 
-def test_the_same_frame_gives_the_same_labels_to_the_byte(segmenter):
-    first, second = segmenter.segment(FRAMES["whole"]), segmenter.segment(FRAMES["whole"])
-    assert first.instances.tobytes() == second.instances.tobytes()
-    assert first.structure.tobytes() == second.structure.tobytes()
-
-
-def test_preparing_on_another_thread_changes_nothing(segmenter):
+def test_a_frame_gives_the_same_labels_prepared_ahead_or_not(segmenter):
     frame = FRAMES["whole"]
     with ThreadPoolExecutor(1) as ahead:
         prepared = ahead.submit(segmenter.prepare, frame).result()
-    with_it, alone = segmenter.segment(frame, None, prepared), segmenter.segment(frame)
-    assert with_it.instances.tobytes() == alone.instances.tobytes()
-    assert with_it.structure.tobytes() == alone.structure.tobytes()
+    results = [segmenter.segment(frame, None, prepared), segmenter.segment(frame), segmenter.segment(frame)]
+    assert len({(found.instances.tobytes(), found.structure.tobytes()) for found in results}) == 1
 
 
 def test_a_map_that_knows_nothing_yet_is_a_prior_like_none(segmenter):

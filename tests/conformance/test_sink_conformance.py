@@ -20,17 +20,8 @@ def _disk(folder):
     return DiskSink(folder, DiskSinkConfig(every_keyframes=2))
 
 
-def _rerun_file(folder):
-    rrd = folder.path.parent / "run.rrd"
+def _rerun(folder, rrd=None):
     return RerunSink(RerunConfig(), folder.path, rrd, ViewerChoice(kind=ViewerKind.NONE))
-
-
-def _costmap(folder):
-    return CostmapSink(load_robot("point"), path=folder.path.parent / "costmap.mcap")
-
-
-def _rerun_of_nothing(folder):
-    return RerunSink(RerunConfig(), folder.path, None, ViewerChoice(kind=ViewerKind.NONE))
 
 
 def _example(folder):
@@ -39,8 +30,9 @@ def _example(folder):
 
 # A sink of one's own adds its line here.
 SINKS = {
-    "costmap": _costmap, "disk": _disk, "example": _example, "rerun_file": _rerun_file,
-    "rerun_of_nothing": _rerun_of_nothing, "remembering": lambda _: RememberingSink(),
+    "costmap": lambda folder: CostmapSink(load_robot("point"), path=folder.path.parent / "costmap.mcap"),
+    "rerun_file": lambda folder: _rerun(folder, folder.path.parent / "run.rrd"), "rerun_of_nothing": _rerun,
+    "disk": _disk, "example": _example, "remembering": lambda _: RememberingSink(),
     "slow": lambda _: SlowSink(RememberingSink(), 0.001),
 }  # fmt: skip
 
@@ -79,11 +71,14 @@ def test_the_reports_are_of_every_kind(played):
     assert reports[-1].snapshot is not None
 
 
-def test_a_sink_takes_every_report_of_a_run(make_sink, folder, played):
-    sink = make_sink(folder)
-    for report in played[1]:
+def shown(sink, reports):
+    for report in reports:
         sink.show(report)
     sink.close()
+
+
+def test_a_sink_takes_every_report_of_a_run(make_sink, folder, played):
+    shown(make_sink(folder), played[1])
 
 
 def test_a_sink_can_be_closed_before_it_was_shown_anything(make_sink, folder):
@@ -98,10 +93,7 @@ def test_a_sink_takes_an_empty_map_and_an_empty_frame(make_sink, folder, played)
         first, index=1, keyframe_index=None, frame=None, segmentation=None, snapshot=None, observations=(),
         object_ids=(),
     )  # fmt: skip
-    sink = make_sink(folder)
-    for report in (empty, bare):
-        sink.show(report)
-    sink.close()
+    shown(make_sink(folder), (empty, bare))
 
 
 def test_a_sink_on_a_thread_of_its_own_does_not_change_the_map(make_sink, tmp_path, undisturbed_digest):
@@ -110,10 +102,7 @@ def test_a_sink_on_a_thread_of_its_own_does_not_change_the_map(make_sink, tmp_pa
 
 
 def test_the_example_writes_a_line_per_object_and_keyframe(folder, played):
-    sink = _example(folder)
-    for report in played[1]:
-        sink.show(report)
-    sink.close()
+    shown(_example(folder), played[1])
     lines = (folder.path.parent / "objects.csv").read_text().splitlines()
     assert lines[0] == ",".join(COLUMNS)
     assert len(lines) - 1 == sum(len(report.snapshot.objects) for report in played[1] if report.snapshot)
