@@ -1,13 +1,12 @@
-import json
 from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
 from hickory_stream.box_scene import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
-from hickory_stream.cli import main
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.zed_log import COLOR_INFO_TOPIC, COLOR_TOPIC, ZedLog
+from tests.cli.test_cli import answer, look, refusal
 
 NUM_FRAMES = 10
 ROOM = (*SCENE_BOXES, SceneBox(low=(-3.0, -3.2, 0.0), high=(3.0, -3.0, 2.4), rgb=(220, 220, 210)))
@@ -86,16 +85,14 @@ class _Log(ZedLog):
         super()._put(topic, stamp_ns, message)
 
 
-def doctor(log, capsys):
-    capsys.readouterr()
-    main(["doctor", str(log), "--json"])
-    return json.loads(capsys.readouterr().out)
+def doctor(log):
+    return look("doctor", log, "--json").json()
 
 
 def mapped(log, folder, *overrides):
     """Map a log with the command line; return the centres of the objects' boxes."""
     options = [part for override in (NO_SHAPES, *overrides) for part in ("--set", override)]
-    assert main(["play", str(log), "--out", str(folder), "--viewer", "none", "--json", *options]) == 0
+    answer("play", log, "--out", folder, "--viewer", "none", *options)
     return [item.box.center for item in open_map(folder).snapshot.objects]
 
 
@@ -108,11 +105,11 @@ def num_found(centers, within_m):
 @pytest.mark.parametrize(
     ("change", "least"), [(black, 2), (grey, 3), (fisheye, 2), (fisheye_color, 3), (fisheye_depth, 3)]
 )
-def test_a_log_with_poor_images_is_mapped(change, least, tmp_path, capsys):
+def test_a_log_with_poor_images_is_mapped(change, least, tmp_path):
     log = write_log(tmp_path / "a.mcap", change)
     assert num_found(mapped(log, tmp_path / "out"), 0.15) >= least
     # A border is no fault, as a lack of colour is.
-    assert change in (black, grey) or doctor(log, capsys)["problems"] == []
+    assert change in (black, grey) or doctor(log)["problems"] == []
 
 
 @pytest.mark.parametrize(("width", "height", "times"), [(160, 120, 1), (480, 270, 4)], ids=["160x120", "1920x1080"])
@@ -123,27 +120,27 @@ def test_small_and_large_images_are_mapped(width, height, times, tmp_path):
     assert num_found(mapped(log, tmp_path / "out"), 0.15) == 3
 
 
-def test_a_monochrome_camera_is_mapped_and_doctor_names_it(tmp_path, capsys):
+def test_a_monochrome_camera_is_mapped_and_doctor_names_it(tmp_path):
     log = write_log(tmp_path / "a.mcap", colors="one")
     assert num_found(mapped(log, tmp_path / "out"), 0.15) == 3
-    told = doctor(log, capsys)
+    told = doctor(log)
     assert told["problems"] == []
     assert any("the camera has no colour" in note for note in told["notes"])
 
 
-def test_doctor_says_that_colour_is_black_or_grey(tmp_path, capsys):
-    told = doctor(write_log(tmp_path / "black.mcap", black), capsys)
+def test_doctor_says_that_colour_is_black_or_grey(tmp_path):
+    told = doctor(write_log(tmp_path / "black.mcap", black))
     assert any("colour is black" in problem for problem in told["problems"])
-    told = doctor(write_log(tmp_path / "grey.mcap", grey), capsys)
+    told = doctor(write_log(tmp_path / "grey.mcap", grey))
     assert any("the camera has no colour" in note for note in told["notes"])
-    told = doctor(write_log(tmp_path / "fine.mcap"), capsys)
+    told = doctor(write_log(tmp_path / "fine.mcap"))
     assert not any("colour is black" in text for text in told["problems"] + told["notes"])
 
 
 @pytest.mark.parametrize(("change", "bias_m"), [(too_long, BIAS_M), (too_short, -BIAS_M)])
-def test_a_constant_bias_of_depth_is_found_and_taken_off(change, bias_m, tmp_path, capsys):
+def test_a_constant_bias_of_depth_is_found_and_taken_off(change, bias_m, tmp_path):
     log = write_log(tmp_path / "a.mcap", change)
-    told = doctor(log, capsys)
+    told = doctor(log)
     assert told["frames"]["depth_bias"]["bias_m"] == pytest.approx(bias_m, abs=0.01)
     (problem,) = [text for text in told["problems"] if "at every distance" in text]
     setting = problem.partition("--set ")[2].partition(",")[0]
@@ -153,9 +150,7 @@ def test_a_constant_bias_of_depth_is_found_and_taken_off(change, bias_m, tmp_pat
     assert num_found(mapped(log, tmp_path / "mended", setting), 0.05) == 3
 
 
-def test_depth_without_colour_is_refused_with_what_is_missing(tmp_path, capsys):
+def test_depth_without_colour_is_refused_with_what_is_missing(tmp_path):
     log = write_log(tmp_path / "a.mcap", colors="none")
-    assert main(["play", str(log), "--out", str(tmp_path / "map"), "--viewer", "none"]) == 2
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "colour" in told
-    assert "--color-topic" in told
+    told = refusal("play", log, "--out", tmp_path / "map", "--viewer", "none").splitlines()[-1]
+    assert "colour" in told and "--color-topic" in told

@@ -8,7 +8,6 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import NoAlignment, Refusal
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.cli import main
 from hickory_stream.cli.maps.align import answer_json, answer_text, load_objects, named_maps, pose_text
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.relocalise import relocalise
@@ -16,6 +15,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.map_folder.manifest import MANIFEST
 from hickory_stream.map_folder.writer import create_map_folder
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tests.cli.test_cli import answer, refusal, said
 from tools.paper_tables.__main__ import main as paper
 
 B_FROM_WORLD = frame(35, 1, 2)
@@ -40,14 +40,11 @@ def maps(tmp_path_factory):
     }
 
 
-def test_two_maps_of_one_place_are_aligned(maps, capsys):
-    assert main(["align", maps["a"], maps["b"], "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["aligned"] is True
-    assert len(told["pairs"]) == 10
+def test_two_maps_of_one_place_are_aligned(maps):
+    told = answer("align", maps["a"], maps["b"])
+    assert (told["aligned"], len(told["pairs"])) == (True, 10)
     assert np.allclose(told["a_from_b"], invert(B_FROM_WORLD), atol=0.01)
-    assert main(["align", maps["a"], maps["b"]]) == 0
-    assert "10 pairs" in capsys.readouterr().out
+    assert "10 pairs" in said("align", maps["a"], maps["b"])
 
 
 @pytest.mark.parametrize(("log10_chance", "is_weak"), [(-20, False), (-3, True)])
@@ -57,38 +54,30 @@ def test_an_alignment_with_weak_odds_says_so(maps, log10_chance, is_weak):
     assert ("weak" in answer_text(answer)) is is_weak
 
 
-@pytest.mark.parametrize(("other", "refusal"), [("other", None), ("empty", "empty")])
-def test_two_different_places_end_with_status_3_and_the_reason(maps, other, refusal, capsys):
-    assert main(["align", maps["a"], maps[other], "--json"]) == 3
-    told = json.loads(capsys.readouterr().out)
-    assert told["aligned"] is False
-    assert told["reason"]
-    assert refusal is None or told["refusal"] == refusal
-    assert main(["align", maps["a"], maps[other]]) == 3
-    assert "not aligned" in capsys.readouterr().out
+@pytest.mark.parametrize(("other", "known"), [("other", None), ("empty", "empty")])
+def test_two_different_places_end_with_status_3_and_the_reason(maps, other, known):
+    told = answer("align", maps["a"], maps[other], status=3)
+    assert told["aligned"] is False and told["reason"]
+    assert known is None or told["refusal"] == known
+    assert "not aligned" in said("align", maps["a"], maps[other], status=3)
 
 
-def test_pictures_and_recordings_are_written(maps, tmp_path):
-    assert main(["align", maps["a"], maps["b"], "-o", str(tmp_path / "p.png")]) == 0
+def test_pictures_and_recordings_are_written_or_refused_by_name(maps, tmp_path):
+    said("align", maps["a"], maps["b"], "-o", tmp_path / "p.png")
     assert cv2.imread(str(tmp_path / "p.png")).shape == (800, 1600, 3)
-    assert main(["align", maps["a"], maps["other"], "-o", str(tmp_path / "q.rrd")]) == 3
+    said("align", maps["a"], maps["other"], "-o", tmp_path / "q.rrd", status=3)
     assert (tmp_path / "q.rrd").stat().st_size > 1000
+    for out in ("p.jpg", "nowhere/p.png"):
+        assert out in refusal("align", maps["a"], maps["b"], "-o", tmp_path / out)
 
 
-@pytest.mark.parametrize("out", ["p.jpg", "nowhere/p.png"])
-def test_a_picture_that_cannot_be_written_is_said(maps, tmp_path, out, capsys):
-    assert main(["align", maps["a"], maps["b"], "-o", str(tmp_path / out)]) == 2
-    assert out in capsys.readouterr().err
-
-
-def test_a_map_of_another_version_is_refused(maps, tmp_path, capsys):
+def test_a_map_of_another_version_is_refused(maps, tmp_path):
     old = tmp_path / "old"
     save(old, snapshot_of(furniture(4, 0), np.eye(4)))
     entry = json.loads((old / MANIFEST).read_text())
     (old / MANIFEST).write_text(json.dumps(entry | {"format": 0}))
-    for command in (["align"], ["merge", "-o", str(tmp_path / "m")]):
-        assert main([*command[:1], maps["a"], str(old), *command[1:]]) == 2
-        assert "format 0" in capsys.readouterr().err
+    assert "format 0" in refusal("align", maps["a"], old)
+    assert "format 0" in refusal("merge", maps["a"], old, "-o", tmp_path / "m")
 
 
 def test_the_table_of_two_methods(maps, capsys):
@@ -103,7 +92,7 @@ def test_the_table_of_two_methods(maps, capsys):
     assert "one for each map" in capsys.readouterr().err
 
 
-def test_a_place_has_no_negative_zero_and_a_reason_names_its_maps():
+def test_a_place_has_no_negative_zero_and_a_reason_its_maps():
     nearly = np.eye(4)
     nearly[:3, 3] = (-1e-5, 0.0004, -2.0)
     assert pose_text(nearly) == ("(0.000, 0.000, -2.000) m", "turned by 0.00 deg")

@@ -4,7 +4,6 @@ import shutil
 from dataclasses import asdict
 import numpy as np
 import pytest
-from hickory_stream.cli import main
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.match import surface_of
@@ -19,7 +18,7 @@ from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.recorded import frame_indices, recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import kind_text
-from tests.output_forms import checked
+from tests.cli.test_cli import answer, ended_as, refusal, said
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def found(short_map, demo_truth):
     return evaluate(open_map(short_map), load_truth(demo_truth))
 
 
-def test_the_history_of_a_map_spares_a_second_read_of_its_journal(short_map, demo_truth, found, monkeypatch):
+def test_the_history_of_a_map_spares_a_second_read(short_map, demo_truth, found, monkeypatch):
     saved, truth = open_map(short_map), load_truth(demo_truth)
     history = investigate(saved, truth)
     monkeypatch.delattr("hickory_stream.evaluation.reach.recorded_steps")
@@ -38,30 +37,6 @@ def test_the_history_of_a_map_spares_a_second_read_of_its_journal(short_map, dem
 @pytest.fixture(scope="module")
 def why(short_map, demo_truth):
     return reasons_of(open_map(short_map), load_truth(demo_truth))
-
-
-class Explain:
-    """Runs the command and gives what it printed."""
-
-    def __init__(self, capsys):
-        self._capsys = capsys
-
-    def json(self, *arguments):
-        assert main(["explain", *map(str, arguments), "--json"]) == 0
-        return json.loads(self._capsys.readouterr().out)
-
-    def text(self, *arguments):
-        assert main(["explain", *map(str, arguments)]) == 0
-        return self._capsys.readouterr().out
-
-    def refusal(self, *arguments):
-        assert main(["explain", *map(str, arguments)]) == 2
-        return self._capsys.readouterr().err
-
-
-@pytest.fixture
-def explain(capsys):
-    return Explain(capsys)
 
 
 def keyframes(path):
@@ -75,10 +50,10 @@ def middle_of(observation):
     return int(observation.box_px[0] + columns[middle]), int(observation.box_px[1] + rows[middle])
 
 
-def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map, explain):
+def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map):
     tracked = max(open_map(short_map).snapshot.objects, key=lambda o: o.sightings)
     middle = tracked.points_world[np.argmin(np.linalg.norm(tracked.points_world - tracked.box.center, axis=1))]
-    told = explain.json(short_map, f"--point={','.join(f'{value:.4f}' for value in middle)}")
+    told = answer("explain", short_map, f"--point={','.join(f'{value:.4f}' for value in middle)}")
     assert told["objects"][0]["id"] == tracked.id
     assert told["verdict"].startswith(f"in #{tracked.id}, {kind_text(tracked.fixture_probability)}; of ")
     masks = [sighting for sighting in told["sightings"] if sighting["where"] == "mask"]
@@ -89,34 +64,34 @@ def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map, expla
     assert told["num_keyframes"] == len(keyframes(short_map))
 
 
-def test_a_place_behind_every_camera_is_in_no_image(short_map, explain):
-    text = explain.text(short_map, "--point=0,0,500")
+def test_a_place_behind_every_camera_is_in_no_image(short_map):
+    text = said("explain", short_map, "--point=0,0,500")
     assert text == "at (0.00, 0.00, 500.00) m: in no object; no keyframe has it in its image\n"
 
 
-def test_a_floor_place_was_structure_and_an_air_place_free(short_map, explain):
+def test_a_floor_place_was_structure_and_an_air_place_free(short_map):
     step = keyframes(short_map)[0]
     coarse = step.keyframe.observed.coarse
     rows, columns = np.nonzero(coarse.structure & (coarse.depth_mm > 0))
     middle = len(rows) // 2
     pixel = (columns[middle] + 0.5) * coarse.stride_px, (rows[middle] + 0.5) * coarse.stride_px
     frame = step.keyframe.observed.frame_index
-    told = explain.json(short_map, "--at-pixel", f"{frame},{pixel[0]:.0f},{pixel[1]:.0f}")
+    told = answer("explain", short_map, "--at-pixel", f"{frame},{pixel[0]:.0f},{pixel[1]:.0f}")
     assert told["asked"]["text"] == "taken for structure"
     own = next(sighting for sighting in told["sightings"] if sighting["frame"] == frame)
     assert own["where"] == "structure"
     between = (step.keyframe.observed.world_from_camera[:3, 3] + np.array(told["point_m"])) / 2
-    told = explain.json(short_map, f"--point={','.join(map(str, between))}")
+    told = answer("explain", short_map, f"--point={','.join(map(str, between))}")
     assert next(s for s in told["sightings"] if s["frame"] == frame)["where"] == "looked through"
     assert told["verdict"].startswith("in no object; of ")
 
 
-def test_a_pixel_of_a_mask_leads_to_the_track_of_the_mask(short_map, explain):
+def test_a_pixel_of_a_mask_leads_to_the_track_of_the_mask(short_map):
     step = keyframes(short_map)[-1]
     observed = step.keyframe.observed
     for observation in observed.observations[:2]:
         u, v = middle_of(observation)
-        told = explain.json(short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
+        told = answer("explain", short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
         track_id = next(d.object_id for d in step.decisions if d.observation_index == observation.index)
         assert told["asked"]["text"] == f"in a mask that went to #{track_id}"
         own = next(sighting for sighting in told["sightings"] if sighting["frame"] == observed.frame_index)
@@ -124,17 +99,17 @@ def test_a_pixel_of_a_mask_leads_to_the_track_of_the_mask(short_map, explain):
         assert np.hypot(own["pixel"][0] - u, own["pixel"][1] - v) < 8
 
 
-def test_a_pixel_of_another_frame_is_found_with_the_log(short_map, short_log, explain):
+def test_a_pixel_of_another_frame_is_found_with_the_log(short_map, short_log):
     of_keyframes, frames = frame_indices(short_map)
     frame = int(next(i for i in frames if i not in of_keyframes))
-    told = explain.refusal(short_map, "--at-pixel", f"{frame},320,180")
+    told = refusal("explain", short_map, "--at-pixel", f"{frame},320,180")
     assert f"frame {frame} of {short_map} is no keyframe" in told
     assert "or give --log LOG" in told
     # The camera moves little between two frames: what the keyframe before has in a mask's middle is there, too.
     step = [s for s in keyframes(short_map) if s.keyframe is not None and s.keyframe.observed.frame_index < frame][-1]
     largest = max(step.keyframe.observed.observations, key=lambda o: int(o.mask.sum()))
     u, v = middle_of(largest)
-    found = explain.json(short_map, "--at-pixel", f"{frame},{u},{v}", "--log", short_log)
+    found = answer("explain", short_map, "--at-pixel", f"{frame},{u},{v}", "--log", short_log)
     assert found["asked"]["text"] == "the frame is no keyframe: the place is from the log's depth"
     own = found["sightings"][0]
     assert own["where"] == "mask"
@@ -143,27 +118,24 @@ def test_a_pixel_of_another_frame_is_found_with_the_log(short_map, short_log, ex
     assert y0 <= own["pixel"][1] <= y1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--point", "1,2"], "found --point 1,2, expected X,Y,Z in metres"),
-        (["--point", "1,2,nan"], "expected three finite numbers"),
-        (["--at-pixel", "0.5,1,1"], "expected FRAME,U,V"),
-        (["--at-pixel", "900,1,1"], "found frame 900, expected one of the 18 frames"),
-        (["--at-pixel", "0,9999,1"], "found the pixel 9999,1, expected a column of 0 to"),
-        (["--point", "1,2,3", "--object", "1"], "without --truth DIR"),
-        (["--point", "1,2,3", "--log", "x.mcap"], "found --log without --at-pixel"),
-        (["--truth", "nowhere"], "nowhere is no truth folder"),
-    ],
-)
-def test_what_cannot_be_asked_is_refused_in_a_line(short_map, explain, arguments, told):
-    assert told in explain.refusal(short_map, *arguments)
+@pytest.mark.parametrize(("arguments", "told"), [
+    (["--point", "1,2"], "found --point 1,2, expected X,Y,Z in metres"),
+    (["--point", "1,2,nan"], "expected three finite numbers"),
+    (["--at-pixel", "0.5,1,1"], "expected FRAME,U,V"),
+    (["--at-pixel", "900,1,1"], "found frame 900, expected one of the 18 frames"),
+    (["--at-pixel", "0,9999,1"], "found the pixel 9999,1, expected a column of 0 to"),
+    (["--point", "1,2,3", "--object", "1"], "without --truth DIR"),
+    (["--point", "1,2,3", "--log", "x.mcap"], "found --log without --at-pixel"),
+    (["--truth", "nowhere"], "nowhere is no truth folder"),
+])  # fmt: skip
+def test_what_cannot_be_asked_is_refused_in_a_line(short_map, arguments, told):
+    assert told in refusal("explain", short_map, *arguments)
 
 
-def test_a_map_without_a_journal_says_so(short_map, tmp_path, explain):
+def test_a_map_without_a_journal_says_so(short_map, tmp_path):
     copy = tmp_path / "map"
     shutil.copytree(short_map, copy, ignore=shutil.ignore_patterns("journal.mcap"))
-    assert "the map keeps no history; play the log again" in explain.refusal(copy, "--point", "0,0,0")
+    assert "the map keeps no history; play the log again" in refusal("explain", copy, "--point", "0,0,0")
 
 
 def test_every_missed_object_and_every_false_one_is_explained(short_map, found, why):
@@ -180,8 +152,8 @@ def test_every_missed_object_and_every_false_one_is_explained(short_map, found, 
     assert sum(item.count for item in why.reasons) == len(why.missed)
 
 
-def test_the_command_prints_what_was_found_as_json_and_as_text(short_map, demo_truth, why, explain):
-    told = explain.json(short_map, "--truth", demo_truth)
+def test_the_command_prints_what_was_found_as_json_and_as_text(short_map, demo_truth, why):
+    told = answer("explain", short_map, "--truth", demo_truth)
     assert {key: told[key] for key in told.keys() - {"output", "version"}} == json.loads(json.dumps(asdict(why)))
     text = why_text(why)
     assert f"{len(why.missed)} of {why.num_truth} true objects that count are missed" in text
@@ -189,16 +161,16 @@ def test_the_command_prints_what_was_found_as_json_and_as_text(short_map, demo_t
     assert all(f"{missed.kind}: {missed.reason}" in text for missed in why.missed)
 
 
-def test_an_unseen_object_is_missed_for_that_reason(short_map, demo_truth, found, why, explain):
+def test_an_unseen_object_is_missed_for_that_reason(short_map, demo_truth, found, why):
     unseen = next(missed for missed in why.missed if missed.best_frame is None)
-    story = explain.json(short_map, "--truth", demo_truth, "--object", unseen.truth_id)
+    story = answer("explain", short_map, "--truth", demo_truth, "--object", unseen.truth_id)
     assert (story["sightings"], story["missed"]["reason"]) == ([], "out of reach")
     assert story["missed"]["text"] == f"none of {why.num_keyframes} keyframes shows it"
     good = max(found.objects, key=lambda row: row.iou)
-    told = explain.text(short_map, "--truth", demo_truth, "--object", good.truth_id)
+    told = said("explain", short_map, "--truth", demo_truth, "--object", good.truth_id)
     assert f"found: it is #{good.map_id}, box IoU {good.iou:.2f}" in told
     assert f"in a mask of its own, which went to #{good.map_id}" in told
-    assert "expected the id of a true object" in explain.refusal(short_map, "--truth", demo_truth, "--object", 999)
+    assert "expected the id of a true object" in refusal("explain", short_map, "--truth", demo_truth, "--object", 999)
 
 
 def test_the_page_of_an_evaluation_explains_every_error(short_map, demo_truth, tmp_path, found, why):
@@ -217,21 +189,24 @@ def test_the_page_of_an_evaluation_explains_every_error(short_map, demo_truth, t
         assert f"<p class=why>{false.text}</p>" in page
 
 
-def test_a_configuration_of_another_version_is_no_hindrance(short_map, tmp_path, explain):
-    copy = tmp_path / "map"
-    shutil.copytree(short_map, copy)
-    manifest = json.loads((copy / "manifest.json").read_text())
-    manifest["config"]["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
-    (copy / "manifest.json").write_text(json.dumps(manifest))
+def copied(path, to, **changes):
+    """A copy of a map with changes of its manifest."""
+    shutil.copytree(path, to)
+    manifest = json.loads((to / "manifest.json").read_text())
+    (to / "manifest.json").write_text(json.dumps({**manifest, **changes}))
+    return to
+
+
+def test_a_configuration_of_another_version_is_no_hindrance(short_map, tmp_path):
+    config = json.loads((short_map / "manifest.json").read_text())["config"]
+    config["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
     point = "--point=0.5,0.5,0.5"
-    assert explain.json(copy, point) == explain.json(short_map, point)
+    changed = copied(short_map, tmp_path / "map", config=config)
+    assert answer("explain", changed, point) == answer("explain", short_map, point)
 
 
-def test_a_run_that_was_killed_is_explained_as_far_as_it_came(short_map, demo_truth, tmp_path, why, explain):
-    killed = tmp_path / "map"
-    shutil.copytree(short_map, killed)
-    manifest = json.loads((killed / "manifest.json").read_text())
-    (killed / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False, "digest": None}))
+def test_a_run_that_was_killed_is_explained_as_far_as_it_came(short_map, demo_truth, tmp_path, why):
+    killed = copied(short_map, tmp_path / "map", finished_cleanly=False, digest=None)
     (killed / "objects.json").unlink()
     with Journal(short_map) as journal:
         writer = JournalWriter(killed, flush_s=0.0)
@@ -239,12 +214,12 @@ def test_a_run_that_was_killed_is_explained_as_far_as_it_came(short_map, demo_tr
         for i in range(num_keyframes):
             writer.append(journal.entry(i))
         writer.abandon()
-    told = explain.json(killed, "--truth", demo_truth)
+    told = answer("explain", killed, "--truth", demo_truth)
     assert told["num_keyframes"] == num_keyframes
     assert len(told["missed"]) >= len(why.missed)
 
 
-def test_labels_by_hand_score_a_map_as_its_whole_truth_does(found, short_map, demo_truth, tmp_path, capsys):
+def test_labels_by_hand_score_a_map_as_its_whole_truth_does(found, short_map, demo_truth, tmp_path):
     labels = []
     for item in (truth := load_truth(demo_truth)).objects:
         box = gravity_aligned_box(surface_of(truth, item).vertices, 0.005)
@@ -253,20 +228,18 @@ def test_labels_by_hand_score_a_map_as_its_whole_truth_does(found, short_map, de
         labels.append({"id": item.id, "name": item.kind, "ignore": item.seen_fraction < 0.3, **size})
     content = {"format": 1, "upright_from_world": np.eye(3).tolist(), "objects": labels}
     (tmp_path / "boxes.json").write_text(json.dumps(content))
-    assert main(["evaluate", str(short_map), "--truth", str(tmp_path), "--json"]) == 0
-    told = checked(json.loads(capsys.readouterr().out))
+    told = answer("evaluate", short_map, "--truth", tmp_path)
     for name in ("num_truth", "num_objects", "recall_25", "recall_50"):
         assert told[name] == pytest.approx(getattr(found, name)), name
     assert not {"f1_5pct", "containment", "poses"} & told.keys()
-    assert main(["evaluate", str(short_map), "--truth", str(tmp_path), "--html", str(tmp_path / "a.html")]) == 2
-    assert "boxes have no surfaces" in capsys.readouterr().err
+    refused = refusal("evaluate", short_map, "--truth", tmp_path, "--html", tmp_path / "a.html")
+    assert "boxes have no surfaces" in refused
 
 
-def test_labels_of_another_world_are_noticed(short_map, tmp_path, capsys):
+def test_labels_of_another_world_are_noticed(short_map, tmp_path):
     far = {"id": 1, "center": [90, 0, 0], "size": [1, 1, 1], "yaw": 0}
     content = {"format": 1, "upright_from_world": np.eye(3).tolist(), "objects": [far]}
     (tmp_path / "far.json").write_text(json.dumps(content))
-    assert main(["evaluate", str(short_map), "--truth", str(tmp_path / "far.json")]) == 0
-    told = capsys.readouterr()
-    assert "labels must be in the world of the poses" in told.err
-    assert "recall 0.25 / 0.5       0.000 / 0.000" in told.out
+    ended = ended_as(0, "evaluate", short_map, "--truth", tmp_path / "far.json")
+    assert "labels must be in the world of the poses" in ended.stderr
+    assert "recall 0.25 / 0.5       0.000 / 0.000" in ended.stdout

@@ -7,7 +7,7 @@ from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.map_folder.saved_map import open_map
 from players.poses.pose_file import read_pose_file
-from tests.cli.test_cli import look
+from tests.cli.test_cli import answer, ended_as, look, refusal, said
 from tests.cli.test_cli_navigation import saved
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.navigation.rooms import table, tracked
@@ -21,42 +21,35 @@ FIRST_BYTES = {"glb": b"glTF", "ply": b"ply\n", "json": b"{"}
 )
 def test_the_ending_of_a_file_chooses_the_format(short_map, tmp_path, ending, form):
     out = tmp_path / f"map.{ending}"
-    ended = look("export", short_map, "-o", out, "--texture", 0, "--json")
-    assert ended.status == 0, ended.stderr
-    assert ended.json()["format"] == form
+    assert answer("export", short_map, "-o", out, "--texture", 0)["format"] == form
     assert out.read_bytes().startswith(FIRST_BYTES.get(form, b""))
     if form == "json":
         ids = [tracked.id for tracked in open_map(short_map).snapshot.objects]
         assert [entry["id"] for entry in json.loads(out.read_text())["objects"]] == ids
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("export", "-o", "x.foo"), "a name that ends in .json, .ply, .glb"),
-        (("export", "-o", "map"), "or choose a --format"),
-        (("export", "--format", "glb", "-o", "x.json"), "a name that ends in .glb"),
-        (("export", "--format", "nav2", "--robot", "point", "-o", "x.pgm"), ".yaml or .yml"),
-        (("export", "--format", "urdf", "-o", "x.glb"), "the name of a folder"),
-        (("render", "-o", "z.foo"), "a name that ends in .png"),
-        (("render", "-o", "z.svg"), "a name that ends in .png"),
-        (("render", "--graph", "-o", "z.jpg"), ".png or .svg"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "complaint"), [
+    (("export", "-o", "x.foo"), "a name that ends in .json, .ply, .glb"),
+    (("export", "-o", "map"), "or choose a --format"),
+    (("export", "--format", "glb", "-o", "x.json"), "a name that ends in .glb"),
+    (("export", "--format", "nav2", "--robot", "point", "-o", "x.pgm"), ".yaml or .yml"),
+    (("export", "--format", "urdf", "-o", "x.glb"), "the name of a folder"),
+    (("render", "-o", "z.foo"), "a name that ends in .png"),
+    (("render", "-o", "z.svg"), "a name that ends in .png"),
+    (("render", "--graph", "-o", "z.jpg"), ".png or .svg"),
+])  # fmt: skip
 def test_an_ending_that_contradicts_is_refused(short_map, tmp_path, arguments, complaint, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command, *rest = arguments
-    refused = look(command, short_map, *rest)
-    assert refused.status == 2
-    assert complaint in refused.stderr
-    assert refused.stderr.count("\n") == 1
+    (refused,) = refusal(command, short_map, *rest).splitlines()
+    assert complaint in refused
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj"])
 def test_closed_meshes_are_read_as_closed_in_the_world(short_map, tmp_path, ending):
     out = tmp_path / f"map.{ending}"
-    assert look("export", short_map, "-o", out, "--json").json()["open_meshes"] == 0
+    assert answer("export", short_map, "-o", out)["open_meshes"] == 0
     read, of_map = trimesh.load(out, force="mesh"), open_map(short_map)
     shapes = [item.shape for item in of_map.snapshot.objects if item.shape is not None]
     assert read.is_watertight
@@ -83,26 +76,22 @@ def test_a_mesh_that_is_open_in_the_map_is_counted(tmp_path, ending):
     shape = replace(one.shape, mesh_name="cut.glb", mesh_sha256=sha256_of(cut))
     folder = saved(tmp_path / "a.map", replace(one, shape=shape), other)
     write_glb(cut, folder / "shapes" / "cut.glb")
-    ended = look("export", folder, "-o", tmp_path / f"a.{ending}", "--texture", 0)
-    assert ended.status == 0, ended.stderr
+    ended = ended_as(0, "export", folder, "-o", tmp_path / f"a.{ending}", "--texture", 0)
     assert ended.stderr == "note: 1 of the meshes are not watertight\n"
 
 
 def test_an_exported_trajectory_has_every_frame_of_the_log(short_map, short_log, tmp_path):
-    assert look("export", short_map, "-o", tmp_path / "map.tum").status == 0
-    assert look("odometry", short_log, "--odometry", "topic", "-o", tmp_path / "log.tum").status == 0
+    said("export", short_map, "-o", tmp_path / "map.tum")
+    said("odometry", short_log, "--odometry", "topic", "-o", tmp_path / "log.tum")
     # The poses of the demo are exact: nothing is corrected.
     for ours, of_log in zip(*(read_pose_file(tmp_path / f"{name}.tum", None) for name in ("map", "log")), strict=True):
         np.testing.assert_allclose(ours, of_log, atol=1e-6)
-    assert look("export", short_map, "--at", 1, "-o", tmp_path / "early.tum").status == 0
+    said("export", short_map, "--at", 1, "-o", tmp_path / "early.tum")
     early, whole = ((tmp_path / f"{name}.tum").read_text() for name in ("early", "map"))
     assert whole.startswith(early)
     assert 2 < early.count("\n") < whole.count("\n")
 
 
 def test_a_map_without_poses_is_refused_in_a_line(tmp_path):
-    folder = saved(tmp_path / "a.map", tracked(1, table()))
-    refused = look("export", folder, "-o", tmp_path / "a.tum")
-    assert refused.status == 2
-    assert "holds no journal" in refused.stderr
-    assert refused.stderr.count("\n") == 1
+    (refused,) = refusal("export", saved(tmp_path / "a.map"), "-o", tmp_path / "a.tum").splitlines()
+    assert "holds no journal" in refused

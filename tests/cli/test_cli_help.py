@@ -11,10 +11,12 @@ from hickory_stream.cli import main
 from hickory_stream.cli.commands import commands_of
 from hickory_stream.cli.examples import TEXTS
 from hickory_stream.cli.parser import make_parser
+from tests.cli.test_cli import said
 from tests.readmes import blocks_of
 from tools.readmes import READMES
 
 CLI_README = Path(hickory_stream.__file__).parent / "cli" / "README.md"
+PLAN = ("plan", "m", "--start", "0,0", "--goal", "1,1")
 COMMANDS = [" ".join(path) for path, _ in commands_of(make_parser()) if path]
 
 
@@ -52,16 +54,15 @@ def test_the_lines_of_the_readmes_are_understood():
         assert callable(make_parser().parse_args(shlex.split(text)).run), text
 
 
-def test_the_plans_of_the_readmes_find_a_path_in_the_demo(demo_log, tmp_path, capsys):
+def test_the_plans_of_the_readmes_find_a_path_in_the_demo(demo_log, tmp_path):
     # The first ten seconds show both ends of every path; shapes only narrow what is in the way.
     quick = ("--frames", "60", "--set", "mapper.mapping.requests.max_failures=0", "--viewer", "none")
-    assert main(["play", str(demo_log), "--out", str(tmp_path / "map"), *quick]) == 0
+    said("play", demo_log, "--out", tmp_path / "map", *quick)
     plans = [shlex.split(line) for line in sorted(set(readme_commands())) if line.startswith("plan ")]
     assert len(plans) >= 2
     for arguments in plans:
         at = {"MAP": str(tmp_path / "map"), "plan.png": str(tmp_path / f"{len(list(tmp_path.iterdir()))}.png")}
-        assert main([at.get(word, word) for word in arguments]) == 0, arguments
-        assert "verified along the whole length" in capsys.readouterr().out
+        assert "verified along the whole length" in said(*(at.get(word, word) for word in arguments))
 
 
 def test_names_in_the_readmes_are_exported_by_the_package():
@@ -94,9 +95,8 @@ def completed(script, words, folder):
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-def test_bash_completes_commands_options_values_and_files(tmp_path, capsys):
-    assert main(["completion", "bash"]) == 0
-    script = capsys.readouterr().out
+def test_bash_completes_commands_options_values_and_files(tmp_path):
+    script = said("completion", "bash")
     (tmp_path / "demo.map").mkdir()
     (tmp_path / "other.mcap").touch()
     for words, offered in (
@@ -119,9 +119,8 @@ def test_bash_completes_commands_options_values_and_files(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_scripts_of_other_shells_name_every_command(shell, tmp_path, capsys):
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_scripts_of_other_shells_name_every_command(shell, tmp_path):
+    script = said("completion", shell)
     for command in COMMANDS:
         assert re.search(rf"\b{re.escape(command.split()[-1])}\b", script)
     if shutil.which(shell) is not None:
@@ -140,23 +139,17 @@ def test_the_help_lists_each_command_in_its_group(capsys):
     assert all(re.search(rf"^# {name}$", blocks_of("sh", CLI_README), re.MULTILINE) for name, _ in groups)
 
 
-@pytest.mark.parametrize(
-    ("words", "answer"),
-    [
-        (["inspct", "m"], "found inspct, did you mean inspect?"),
-        (["xyzzy"], "found xyzzy, expected one of demo, play,"),
-        (["generators", "lst"], "found lst, did you mean list?"),
-        (["export", "m", "--format", "gbl"], "found gbl, did you mean glb?"),
-        (["inspect", "m", "--min-sise", "1"], "found --min-sise, did you mean --min-size?"),
-        (["inspect", "m", "n"], "found n, which is not expected; see hickory-stream inspect --help"),
-        (["evaluate-views", "a.mcap"], "which is now `paper views` in the folder tools"),
-        (
-            ["plan", "m", "--start", "0,0", "--goal", "1,1", "--unproven"],
-            "found --unproven, which is now --allow-unverified",
-        ),
-        (["resume", "m", "--own-workers"], "which is now --use-current-workers"),
-    ],
-)
+@pytest.mark.parametrize(("words", "answer"), [
+    (["inspct", "m"], "found inspct, did you mean inspect?"),
+    (["xyzzy"], "found xyzzy, expected one of demo, play,"),
+    (["generators", "lst"], "found lst, did you mean list?"),
+    (["export", "m", "--format", "gbl"], "found gbl, did you mean glb?"),
+    (["inspect", "m", "--min-sise", "1"], "found --min-sise, did you mean --min-size?"),
+    (["inspect", "m", "n"], "found n, which is not expected; see hickory-stream inspect --help"),
+    (["evaluate-views", "a.mcap"], "which is now `paper views` in the folder tools"),
+    ([*PLAN, "--unproven"], "found --unproven, which is now --allow-unverified"),
+    (["resume", "m", "--own-workers"], "which is now --use-current-workers"),
+])  # fmt: skip
 def test_a_misspelt_or_former_word_is_answered_by_todays(words, answer, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(words)
@@ -164,11 +157,8 @@ def test_a_misspelt_or_former_word_is_answered_by_todays(words, answer, capsys):
 
 
 @pytest.mark.parametrize(("alone", "action"), [("generators", "list"), ("models", "list"), ("cache", "show")])
-def test_a_group_alone_does_its_first_action(alone, action, capsys):
-    assert main([alone]) == 0
-    shown = capsys.readouterr().out
-    assert main([alone, action]) == 0
-    assert shown == capsys.readouterr().out != ""
+def test_a_group_alone_does_its_first_action(alone, action):
+    assert said(alone) == said(alone, action) != ""
 
 
 @pytest.mark.parametrize("module", ["hickory_stream.compiled", "hickory_stream.worlds.clutter.frames"])

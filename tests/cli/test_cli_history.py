@@ -5,7 +5,7 @@ import numpy as np
 import psutil
 from hickory_stream.changes.run_page import pictures_of
 from hickory_stream.map_folder.saved_map import open_map
-from tests.cli.test_cli import EAGER, Playing, look
+from tests.cli.test_cli import EAGER, Playing, answer, ended_as, look, refusal, said
 
 
 def test_a_killed_run_resumes_to_the_map_of_an_undisturbed_one(short_log, coarse_config, tmp_path, short_map):
@@ -15,15 +15,12 @@ def test_a_killed_run_resumes_to_the_map_of_an_undisturbed_one(short_log, coarse
     children = playing.wait_for_children()
     # Time stands still for it, else it might be over first.
     playing.me.suspend()
-    refused = look("resume", tmp_path / "map", "--json")
-    assert refused.status == 2
-    assert f"is being written by process {playing.me.pid}" in refused.json()["message"]
+    assert f"is being written by process {playing.me.pid}" in refusal("resume", tmp_path / "map")
     playing.me.send_signal(signal.SIGKILL)
     playing.end()
     _, alive = psutil.wait_procs(children, timeout=5)
     assert alive == []
-    looked = look("inspect", tmp_path / "map")
-    assert looked.status == 0
+    looked = ended_as(0, "inspect", tmp_path / "map")
     assert f"continue with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
     assert "not finished: nothing was saved yet" in looked.stdout
     assert re.search(r"its journal holds [1-9]\d* keyframe", looked.stderr)
@@ -31,51 +28,35 @@ def test_a_killed_run_resumes_to_the_map_of_an_undisturbed_one(short_log, coarse
     moved = tmp_path / "elsewhere" / log.name
     moved.parent.mkdir()
     log.rename(moved)
-    missed = look("resume", tmp_path / "map", "--json")
-    assert missed.status == 2
-    assert "here.mcap" in missed.json()["message"]
-    resumed = look("resume", tmp_path / "map", "--source", moved, "--json")
-    assert resumed.status == 0, resumed.stderr
-    assert resumed.json()["finished_cleanly"] is True
+    assert "here.mcap" in answer("resume", tmp_path / "map", status=2)["message"]
+    resumed = answer("resume", tmp_path / "map", "--source", moved)
+    assert resumed["finished_cleanly"] is True
     assert look("inspect", tmp_path / "map").stderr == ""
-    digests = {look("inspect", path, "--json").json()["digest"] for path in (short_map, tmp_path / "map")}
-    assert digests == {resumed.json()["digest"]}
+    assert {answer("inspect", path)["digest"] for path in (short_map, tmp_path / "map")} == {resumed["digest"]}
 
 
 def test_replay_makes_the_map_and_a_recording_from_the_folder(short_map, tmp_path):
-    replayed = look("replay", short_map, "--rrd", tmp_path / "again.rrd", "--json")
-    assert replayed.status == 0
-    assert replayed.json()["is_same"] is True
+    assert answer("replay", short_map, "--rrd", tmp_path / "again.rrd")["is_same"] is True
     assert (tmp_path / "again.rrd").stat().st_size > 100_000
 
 
 def test_inspect_and_render_show_the_map_of_a_moment(short_map, tmp_path):
-    early, late = (look("inspect", short_map, "--at", at, "--json").json() for at in ("1.0", "2.5"))
+    early, late = (answer("inspect", short_map, "--at", at) for at in ("1.0", "2.5"))
     assert len(early["objects"]) > 0
     assert early["digest"] != late["digest"]
-    small = ("--size", "480x240")
-    assert look("render", short_map, "--at", "1.0", "-o", tmp_path / "early.png", *small).status == 0
+    said("render", short_map, "--at", "1.0", "-o", tmp_path / "early.png", "--size", "480x240")
     assert (tmp_path / "early.png").stat().st_size > 1000
-    wrong = look("inspect", short_map, "--at", "tomorrow", "--json")
-    assert wrong.status == 2
-    assert "expected seconds from 0 to" in wrong.json()["message"]
+    assert "expected seconds from 0 to" in refusal("inspect", short_map, "--at", "tomorrow")
 
 
-def test_diff_tells_what_happened_between_two_moments(short_map):
-    changes = look("diff", short_map, "0", "2.5", "--json").json()["changes"]
+def test_diff_of_a_run_tells_and_writes_a_page_of_lost_objects(short_map, tmp_path):
+    changes = answer("diff", short_map, "0", "2.5")["changes"]
     assert {change["kind"] for change in changes} >= {"appeared", "better view"}
-    assert "appeared" in look("diff", short_map, "0", "2.5").stdout
-    assert look("diff", short_map, "1", "1").stdout == "nothing has changed\n"
-
-
-def test_diff_of_a_run_writes_a_page_with_lost_objects(short_map, tmp_path):
-    page = tmp_path / "run.html"
-    assert look("diff", short_map, "0", "2.5", "-o", page).status == 0
-    text = page.read_text()
-    changes = look("diff", short_map, "0", "2.5", "--json").json()["changes"]
+    assert "appeared" in said("diff", short_map, "0", "2.5", "-o", tmp_path / "run.html")
+    assert said("diff", short_map, "1", "1") == "nothing has changed\n"
+    text = (tmp_path / "run.html").read_text()
     assert text.count('class="card"') == len(changes)
-    assert "<svg" in text
-    assert "http" not in text
+    assert "<svg" in text and "http" not in text
     best = next(item.best_view for item in open_map(short_map).snapshot.objects if item.best_view is not None)
     # A view whose pixels were removed is cut out of its keyframe's image.
     removed = replace(best, observation_index=999)
@@ -91,17 +72,12 @@ def test_diff_of_a_run_writes_a_page_with_lost_objects(short_map, tmp_path):
 
 
 def test_diff_tells_what_is_in_one_of_two_maps_alone(short_map):
-    found = look("diff", short_map, "--other", short_map, "--json").json()
+    found = answer("diff", short_map, "--other", short_map)
     assert found["both"]
     assert all(pair["a"] == pair["b"] and pair["iou"] > 0.999 for pair in found["both"])
     assert found["only_in_a"] == found["only_in_b"] == []
-    lines = look("diff", short_map, "--other", short_map).stdout.splitlines()
-    assert lines == [
-        f"{len(found['both'])} objects are in both (box overlap 0.5 and more)",
-        f"0 only in {short_map}",
-        f"0 only in {short_map}",
-    ]
+    first, *rest = said("diff", short_map, "--other", short_map).splitlines()
+    assert first == f"{len(found['both'])} objects are in both (box overlap 0.5 and more)"
+    assert rest == [f"0 only in {short_map}"] * 2
     for wrong in ((), ("1",), ("1", "2", "--other", short_map), ("1", "--other", short_map)):
-        refused = look("diff", short_map, *wrong)
-        assert refused.status == 2
-        assert "expected either T1 and T2, or --other MAP" in refused.stderr
+        assert "expected either T1 and T2, or --other MAP" in refusal("diff", short_map, *wrong)

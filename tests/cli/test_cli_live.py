@@ -3,8 +3,7 @@ import os
 import signal
 import subprocess
 from subprocess import PIPE
-from hickory_stream.cli import main
-from tests.cli.test_cli import COMMAND, look
+from tests.cli.test_cli import COMMAND, answer, look, refusal
 
 NO_SHAPES = ("--set", "mapper.mapping.requests.max_failures=0")
 
@@ -28,7 +27,7 @@ def test_a_stream_becomes_a_map_with_a_complete_ledger(short_log, coarse_config,
     again = json.loads(played.stdout.splitlines()[-1])
     assert again["is_reproducible"]
     assert again["ledger"]["messages"]["declared"] == messages["declared"]
-    found = json.loads(look("diff", out, "--other", tmp_path / "again", "--json").stdout)
+    found = answer("diff", out, "--other", tmp_path / "again")
     assert len(found["both"]) + len(found["only_in_a"]) == finished["objects"]
     assert len(found["both"]) + len(found["only_in_b"]) == again["objects"]
 
@@ -55,8 +54,8 @@ def test_a_signal_ends_a_live_run_while_it_waits(short_log, coarse_config, tmp_p
     assert json.loads((out / "manifest.json").read_text())["finished_cleanly"] is False
 
 
-def test_what_is_missing_and_what_cannot_be_is_said_in_one_line(short_log, tmp_path, capsys):
-    uri = f"mcap:{short_log}"
+def test_what_is_missing_and_what_cannot_be_is_said_in_one_line(short_log, tmp_path):
+    uri, b2 = f"mcap:{short_log}", ("--publish-robot", "b2")
     for arguments, told in (
         (("zenith://robot",), "found zenith://robot, expected one of"),
         ((f"mcap:{tmp_path}/none",), "no such file or pipe"),
@@ -64,18 +63,11 @@ def test_what_is_missing_and_what_cannot_be_is_said_in_one_line(short_log, tmp_p
         ((uri, "--for", "0"), "found --for 0, expected seconds"),
         ((uri, "--publish"), "--publish-robot"),
         ((uri, "--publish", "--publish-robot", "tank"), "found no robot tank"),
-        (
-            (uri, "--publish-only", "map", "--publish-robot", "b2"),
-            "found --publish-only map, expected some of costmap,",
-        ),
-        (
-            (uri, "--publish", "--publish-robot", "b2"),
-            "cannot publish; --publish needs zenoh://, foxglove:// or dds://",
-        ),
+        ((uri, "--publish-only", "map", *b2), "found --publish-only map, expected some of costmap,"),
+        ((uri, "--publish", *b2), "cannot publish; --publish needs zenoh://, foxglove:// or dds://"),
         ((uri, "--pose-topic", "/none", "--wait", "0"), "has no topic /none for --pose-topic"),
     ):
-        assert main(["live", *arguments, "--out", str(tmp_path / "map"), "--viewer", "none"]) == 2
-        told_lines = capsys.readouterr().err.splitlines()
-        assert told in told_lines[-1]
-        assert len(told_lines) <= 2
+        lines = refusal("live", *arguments, "--out", tmp_path / "map", "--viewer", "none").splitlines()
+        assert told in lines[-1]
+        assert len(lines) <= 2
         assert not (tmp_path / "map").exists()

@@ -1,11 +1,10 @@
-import json
 import re
 import cv2
 import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from hickory_stream.cli import main
+from tests.cli.test_cli import answer, ended_as, look, refusal, said
 from tests.perception import small_graphs
 
 
@@ -33,66 +32,48 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "models"
 
 
-def said(capsys, *arguments):
-    status = main([str(a) for a in arguments])
-    out, err = capsys.readouterr()
-    return status, out, err
-
-
 @pytest.fixture
-def fastsam(tmp_path, folder, capsys):
+def fastsam(tmp_path, folder):
     file = two_boxes(tmp_path / "own.onnx")
-    assert (
-        said(capsys, "models", "add", file, "--kind", "fastsam", "--name", "fastsam-s", "--licence", "CC0-1.0")[0] == 0
-    )
+    said("models", "add", file, "--kind", "fastsam", "--name", "fastsam-s", "--licence", "CC0-1.0")
     return folder / "fastsam-s.onnx"
 
 
-def test_a_model_is_added_listed_and_found(fastsam, folder, capsys):
-    assert said(capsys, "models", "where")[1].strip() == str(folder)
-    status, out, _ = said(capsys, "models", "list", "--json")
-    (model,) = json.loads(out)["models"]
-    assert (status, model["name"], model["state"], model["input_px"]) == (0, "fastsam-s", "ok", [64, 64])
+def test_a_model_is_added_listed_and_found(fastsam, folder):
+    assert said("models", "where").strip() == str(folder)
+    (model,) = answer("models", "list")["models"]
+    assert (model["name"], model["state"], model["input_px"]) == ("fastsam-s", "ok", [64, 64])
     fastsam.write_bytes(b"x")
-    assert "sha256" in said(capsys, "models", "list")[1]
+    assert "sha256" in said("models", "list")
 
 
-def test_a_check_runs_the_model_on_a_picture_and_draws_it(fastsam, tmp_path, capsys):
-    status, out, _ = said(capsys, "models", "check", "fastsam-s", "-o", tmp_path / "a.png", "--json")
-    told = json.loads(out)
-    assert (status, told["masks"], told["provider"]) == (0, 2, "cpu")
+def test_a_check_runs_the_model_on_a_picture_and_draws_it(fastsam, tmp_path):
+    told = answer("models", "check", "fastsam-s", "-o", tmp_path / "a.png")
+    assert (told["masks"], told["provider"]) == (2, "cpu")
     assert told["run_ms"] >= 0
     assert cv2.imread(str(tmp_path / "a.png")).shape == (400, 600, 3)
 
 
-def test_nothing_is_fetched_before_size_and_licence_are_agreed(folder, tmp_path, capsys):
-    status, out, err = said(capsys, "models", "get", "fastsam-s")
-    assert (status, out) == (2, "")
-    assert re.search(r"24 MB from https://.*\n.*FastSAM-s.pt \(23.9 MB\)\n.*AGPL-3.0 \(ultralytics\)", err)
-    assert re.search(r"install the extra: pip install|agree with --yes", err)
-    assert not folder.exists()
-    (tmp_path / "half.pt").write_bytes(b"not weights")
-    status, _, err = said(capsys, "models", "add", tmp_path / "half.pt", "--kind", "semantic")
-    assert status == 2
-    assert "only fastsam, dinov2, oneformer can be exported" in err
-
-
-def test_what_is_missing_or_broken_is_refused_in_a_sentence(folder, tmp_path, capsys):
-    status, _, err = said(capsys, "models", "check", "dinov2-small")
-    assert status == 2
-    assert "hickory-stream models add dinov2-small.onnx --kind dinov2" in err
-    (tmp_path / "half.onnx").write_bytes(b"not a graph")
-    status, _, err = said(capsys, "models", "add", tmp_path / "half.onnx", "--kind", "dinov2")
-    assert status == 2
-    assert "no whole ONNX file (11 bytes)" in err
+def test_nothing_is_fetched_before_size_and_licence_are_agreed(folder):
+    told = refusal("models", "get", "fastsam-s")
+    assert re.search(r"24 MB from https://.*\n.*FastSAM-s.pt \(23.9 MB\)\n.*AGPL-3.0 \(ultralytics\)", told)
+    assert re.search(r"install the extra: pip install|agree with --yes", told)
     assert not folder.exists()
 
 
-def test_a_run_with_a_model_that_is_missing_says_how_to_get_it(folder, demo_log, tmp_path, capsys):
-    options = ["--out", tmp_path / "map", "--viewer", "none", "--set", "mapper.perception.segmenter=fastsam"]
-    status, _, err = said(capsys, "play", demo_log, *options)
-    assert status == 2
-    assert f"no model fastsam-s in {folder}" in err
+def test_what_is_missing_or_broken_is_refused_in_a_sentence(folder, demo_log, tmp_path):
+    half, own = tmp_path / "half.pt", tmp_path / "half.onnx"
+    half.write_bytes(b"not weights")
+    own.write_bytes(b"not a graph")
+    play = ("play", demo_log, "--out", tmp_path / "map", "--viewer", "none")
+    for command, told in (
+        (("models", "check", "dinov2-small"), "hickory-stream models add dinov2-small.onnx --kind dinov2"),
+        (("models", "add", own, "--kind", "dinov2"), "no whole ONNX file (11 bytes)"),
+        (("models", "add", half, "--kind", "semantic"), "only fastsam, dinov2, oneformer can be exported"),
+        ((*play, "--set", "mapper.perception.segmenter=fastsam"), f"no model fastsam-s in {folder}"),
+    ):
+        assert told in refusal(*command)
+    assert not folder.exists()
 
 
 def frame_files(tmp_path, depth_shape=(60, 80), color_shape=(60, 80, 3)):
@@ -103,104 +84,84 @@ def frame_files(tmp_path, depth_shape=(60, 80), color_shape=(60, 80, 3)):
 
 
 @pytest.mark.parametrize("color_shape", [(60, 80, 3), (60, 80)], ids=["colour", "grey"])
-def test_one_frame_is_segmented_and_drawn(tmp_path, capsys, color_shape):
-    files = frame_files(tmp_path, color_shape=color_shape)
-    status, out, _ = said(capsys, "segment", *files, "-o", tmp_path / "s.png", "--json")
-    told = json.loads(out)
-    assert status == 0
+def test_one_frame_is_segmented_and_drawn(tmp_path, color_shape):
+    told = answer("segment", *frame_files(tmp_path, color_shape=color_shape), "-o", tmp_path / "s.png")
     assert told["objects"] <= told["masks"]
     assert cv2.imread(str(tmp_path / "s.png")).shape[1] == 1280
 
 
-def test_a_picture_without_a_floor_asks_for_the_direction_down(tmp_path, capsys):
+def test_an_image_of_one_pixel_is_segmented(tmp_path):
+    files = frame_files(tmp_path, depth_shape=(1, 1), color_shape=(1, 1, 3))
+    assert answer("segment", *files, "-o", tmp_path / "s.png")["masks"] == 0
+
+
+def test_a_picture_without_a_floor_asks_for_the_direction_down(tmp_path):
     files = frame_files(tmp_path)
-    status, _, err = said(capsys, "segment", *files, "-o", tmp_path / "s.png")
-    assert status == 0
-    assert err.startswith("note: no floor is in view")
-    assert "--down X,Y,Z, e.g. --down 0,1,1" in err
+    asking = ended_as(0, "segment", *files, "-o", tmp_path / "s.png").stderr
+    assert asking.startswith("note: no floor is in view")
+    assert "--down X,Y,Z, e.g. --down 0,1,1" in asking
     # A camera that looks straight down: the surface 1.5 m before it is the floor.
-    status, out, err = said(capsys, "segment", *files, "-o", tmp_path / "down.png", "--down", "0,0,1")
-    assert "floor 1.50 m below the camera" in out
-    assert "note" not in err
+    ended = look("segment", *files, "-o", tmp_path / "down.png", "--down", "0,0,1")
+    assert "floor 1.50 m below the camera" in ended.stdout
+    assert "note" not in ended.stderr
 
 
-def test_a_profile_brings_the_intrinsics_of_both_cameras(tmp_path, capsys):
+def test_a_profile_brings_the_intrinsics_of_both_cameras(tmp_path):
     files = frame_files(tmp_path, depth_shape=(480, 640), color_shape=(480, 640, 3))
-    options = ("--profile", "seven_scenes", "--down", "-0.1,1,0", "-o", tmp_path / "s.png")
-    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
-    by_profile = (tmp_path / "s.png").read_bytes()
+    options = ("--profile", "seven_scenes", "--down", "-0.1,1,0", "-o", tmp_path / "s.png", "--overwrite")
+
+    def drawn(intrinsics=None):
+        if intrinsics is not None:
+            (tmp_path / "camera-intrinsics.txt").write_text(intrinsics)
+        said("segment", *files, *options)
+        return (tmp_path / "s.png").read_bytes()
+
     # A folder of the data set has them in a file, which counts more; the same numbers give the same picture.
-    (tmp_path / "camera-intrinsics.txt").write_text("585 0 320\n0 585 240\n0 0 1\n")
-    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
-    assert (tmp_path / "s.png").read_bytes() == by_profile
-    (tmp_path / "camera-intrinsics.txt").write_text("300 0 320\n0 300 240\n0 0 1\n")
-    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
-    assert (tmp_path / "s.png").read_bytes() != by_profile
+    by_profile = drawn()
+    assert drawn("585 0 320\n0 585 240\n0 0 1\n") == by_profile
+    assert drawn("300 0 320\n0 300 240\n0 0 1\n") != by_profile
 
 
-def test_any_segmenter_can_be_asked_for(fastsam, tmp_path, capsys):
-    files = frame_files(tmp_path)
-    chosen = ["--set", "mapper.perception.segmenter=fastsam", "-o", tmp_path / "s.png"]
-    assert said(capsys, "segment", *files, *chosen)[0] == 0
+def test_any_segmenter_can_be_asked_for(fastsam, tmp_path):
+    chosen = ("--set", "mapper.perception.segmenter=fastsam", "-o", tmp_path / "s.png")
+    said("segment", *frame_files(tmp_path), *chosen)
 
 
-def test_a_pair_of_the_sam_family_is_added_checked_and_used(folder, tmp_path, capsys):
+def test_a_pair_of_the_sam_family_is_added_checked_and_used(folder, tmp_path):
     pair = small_graphs.sam_pair(tmp_path / "mobile", low=64)
-    assert said(capsys, "models", "add", pair, "--kind", "sam", "--name", "sam")[0] == 0
+    said("models", "add", pair, "--kind", "sam", "--name", "sam")
     assert {path.name for path in folder.iterdir()} == {"sam.onnx", "sam.decoder.onnx", "manifest.json"}
     few = ["--set", "mapper.perception.sam.points_per_side=4", "--set", "mapper.perception.sam.stability=0.5"]
-    assert json.loads(said(capsys, "models", "check", "sam", *few, "--json")[1])["masks"] == 32
-    chosen = ["--set", "mapper.perception.segmenter=sam", *few, "-o", tmp_path / "s.png"]
-    assert said(capsys, "segment", *frame_files(tmp_path), *chosen)[0] == 0
+    assert answer("models", "check", "sam", *few)["masks"] == 32
+    chosen = ("--set", "mapper.perception.segmenter=sam", *few, "-o", tmp_path / "s.png")
+    said("segment", *frame_files(tmp_path), *chosen)
 
 
-@pytest.mark.parametrize(
-    ("kind", "labels", "expected"),
-    [
-        ("fastsam", "", "no YOLOv8-seg graph"),
-        ("semantic", "wall\nfloor\n", "has 3 classes, the manifest names 2"),
-        ("semantic", "", "needs the names of its classes"),
-    ],
-)
-def test_a_graph_that_no_run_could_use_is_not_added(folder, tmp_path, capsys, kind, labels, expected):
+@pytest.mark.parametrize(("kind", "labels", "expected"), [
+    ("fastsam", "", "no YOLOv8-seg graph"),
+    ("semantic", "wall\nfloor\n", "has 3 classes, the manifest names 2"),
+    ("semantic", "", "needs the names of its classes"),
+])  # fmt: skip
+def test_a_graph_that_no_run_could_use_is_not_added(folder, tmp_path, kind, labels, expected):
     (tmp_path / "names.txt").write_text(labels)
     file = small_graphs.scores_by_color(tmp_path / "a.onnx")
-    status, _, err = said(capsys, "models", "add", file, "--kind", kind, "--labels", tmp_path / "names.txt")
-    assert (status, folder.exists()) == (2, False)
-    assert expected in err
+    assert expected in refusal("models", "add", file, "--kind", kind, "--labels", tmp_path / "names.txt")
+    assert not folder.exists()
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"depth_shape": (30, 40)}, "80 x 60 pixels, .* of 40 x 30"),
-        ({"depth_shape": (60, 80, 3)}, "16-bit PNG of one channel"),
-    ],
-)
-def test_images_that_do_not_fit_are_refused(tmp_path, capsys, changes, expected):
-    status, _, err = said(capsys, "segment", *frame_files(tmp_path, **changes), "-o", tmp_path / "s.png")
-    assert status == 2
-    assert re.search(expected, err)
+NETWORK = "mapper.perception.network.provider=cuda"
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (["--intrinsics", "1,2,3"], "expected FX,FY,CX,CY"),
-        (["--intrinsics=-1,2,3,4"], "focal lengths must be positive"),
-        (["--down", "0,0,0"], "expected a direction"),
-        (["--depth-units", "0"], "expected a number above 0"),
-        (["--profile", "seven_scenes"], "give --intrinsics of depth"),
-        (["--set", "mapper.perception.network.provider=cuda", "--set", "mapper.perception.segmenter=fastsam"], "cuda"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(fastsam, tmp_path, capsys, options, expected):
-    status, _, err = said(capsys, "segment", *frame_files(tmp_path), "-o", tmp_path / "s.png", *options)
-    assert status == 2
-    assert expected in err
-
-
-def test_an_image_of_one_pixel_is_segmented(tmp_path, capsys):
-    files = frame_files(tmp_path, depth_shape=(1, 1), color_shape=(1, 1, 3))
-    status, out, _ = said(capsys, "segment", *files, "-o", tmp_path / "s.png", "--json")
-    assert (status, json.loads(out)["masks"]) == (0, 0)
+@pytest.mark.parametrize(("options", "shape", "expected"), [
+    (["--intrinsics", "1,2,3"], (60, 80), "expected FX,FY,CX,CY"),
+    (["--intrinsics=-1,2,3,4"], (60, 80), "focal lengths must be positive"),
+    (["--down", "0,0,0"], (60, 80), "expected a direction"),
+    (["--depth-units", "0"], (60, 80), "expected a number above 0"),
+    (["--profile", "seven_scenes"], (60, 80), "give --intrinsics of depth"),
+    (["--set", NETWORK, "--set", "mapper.perception.segmenter=fastsam"], (60, 80), "cuda"),
+    ([], (30, 40), "80 x 60 pixels, .* of 40 x 30"),
+    ([], (60, 80, 3), "16-bit PNG of one channel"),
+])  # fmt: skip
+def test_options_and_images_that_do_not_fit_are_refused(fastsam, tmp_path, options, shape, expected):
+    files = frame_files(tmp_path, depth_shape=shape)
+    assert re.search(expected, refusal("segment", *files, "-o", tmp_path / "s.png", *options))

@@ -5,10 +5,10 @@ from typing import Any, NotRequired, TypedDict
 import jsonschema
 import pytest
 from hickory_stream.base.json_schema import schema_of
-from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
 from hickory_stream.outputs import OUTPUTS, VERSION, output, output_schema
 from hickory_stream.progress import ProgressPrinter
+from tests.cli.test_cli import look, refusal, said
 from tests.output_forms import checked
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -37,12 +37,9 @@ def test_every_schema_is_one_and_says_what_it_is(name):
     assert schema["additionalProperties"] is False
 
 
-def test_an_output_that_nobody_declared_is_none():
+def test_what_differs_from_its_form_or_has_none_is_noticed():
     with pytest.raises(KeyError, match="declare it in OUTPUTS"):
         output("poem", {})
-
-
-def test_what_differs_from_its_form_is_noticed():
     checked(json.loads(output("config-check", {"ok": True})))
     for wrong in ({}, {"ok": False}, {"ok": True, "more": 1}):
         with pytest.raises(jsonschema.ValidationError):
@@ -56,15 +53,12 @@ class Inner(TypedDict):
     b: NotRequired[list[str | None]]
 
 
-@pytest.mark.parametrize(
-    ("kind", "good", "bad"),
-    [
-        (Inner, {"a": [1, None]}, {"a": [1.5, 2.0]}),
-        (Inner, {"a": [1, 2.5], "b": ["x", None]}, {"a": [1, 2.5, 3]}),
-        (dict[str, bool], {"x": True}, {"x": 1}),
-        (Any, [1, "a"], None),
-    ],
-)
+@pytest.mark.parametrize(("kind", "good", "bad"), [
+    (Inner, {"a": [1, None]}, {"a": [1.5, 2.0]}),
+    (Inner, {"a": [1, 2.5], "b": ["x", None]}, {"a": [1, 2.5, 3]}),
+    (dict[str, bool], {"x": True}, {"x": 1}),
+    (Any, [1, "a"], None),
+])  # fmt: skip
 def test_a_schema_allows_what_its_type_does(kind, good, bad):
     validator = jsonschema.Draft202012Validator(schema_of(kind))
     assert validator.is_valid(good)
@@ -72,35 +66,22 @@ def test_a_schema_allows_what_its_type_does(kind, good, bad):
 
 
 def test_the_ranges_of_the_configuration_are_in_its_schema():
-    assert schema_of(RunConfig)["properties"]["workers"] == {
-        "type": "integer",
-        "minimum": 1,
-        "maximum": 1024,
-        "$comment": "processes",
-    }
+    expected = {"type": "integer", "minimum": 1, "maximum": 1024, "$comment": "processes"}
+    assert schema_of(RunConfig)["properties"]["workers"] == expected
     with pytest.raises(TypeError, match="no JSON is known"):
         schema_of(Path)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["config", "dump"],
-        ["config", "check", "FILE"],
-        ["config", "check", "no.toml"],
-        ["models", "where"],
-        ["models", "list"],
-        ["generators", "list"],
-        ["cache", "show"],
-        ["doctor", "no.mcap"],
-        ["doctor", "LOG"],
-        ["evaluate", "--explain"],
-    ],
-)
-def test_what_commands_print_keeps_to_its_form(command, coarse_config, short_log, capsys):
-    words = {"FILE": str(coarse_config), "LOG": str(short_log)}
-    main([*(words.get(word, word) for word in command), "--json"])
-    checked(json.loads(capsys.readouterr().out))
+COMMANDS = (
+    "config dump", "config check FILE", "config check no.toml", "models where", "models list", "generators list",
+    "cache show", "doctor no.mcap", "doctor LOG", "evaluate --explain",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_commands_print_keeps_to_its_form(command, coarse_config, short_log):
+    words = command.replace("FILE", str(coarse_config)).replace("LOG", str(short_log)).split()
+    look(*words, "--json").json()
 
 
 def test_progress_keeps_to_its_form(capsys):
@@ -110,13 +91,9 @@ def test_progress_keeps_to_its_form(capsys):
     assert checked(json.loads(capsys.readouterr().err))["frames"] == 3
 
 
-def test_the_schema_is_printed_for_one_for_all_or_names_alone(capsys):
-    assert main(["schema", "inspect"]) == 0
-    one = json.loads(capsys.readouterr().out)
+def test_the_schema_is_printed_for_one_for_all_or_names_alone():
+    one = json.loads(said("schema", "inspect"))
     assert "place" in one["properties"]["objects"]["items"]["properties"]
-    assert main(["schema", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["inspect"] == one
-    assert main(["schema"]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(OUTPUTS)
-    assert main(["schema", "poem"]) == 2
-    assert "found no output poem, expected one of " in capsys.readouterr().err
+    assert json.loads(said("schema", "--json"))["inspect"] == one
+    assert [line.split()[0] for line in said("schema").splitlines()] == list(OUTPUTS)
+    assert "found no output poem, expected one of " in refusal("schema", "poem")
