@@ -36,10 +36,7 @@ def rounds_of(order, *, waits=True):
             rounds.end(name)
         else:
             rounds.add(name, grown(keyframes))
-        found += [
-            (one.keyframe, {name: own.keyframes for name, own in one.maps.items()}, one.grown)
-            for one in rounds.complete()
-        ]
+        found.extend((r.keyframe, {n: own.keyframes for n, own in r.maps.items()}, r.grown) for r in rounds.complete())
     return found
 
 

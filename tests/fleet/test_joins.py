@@ -39,16 +39,13 @@ def grown():
     return rounds(Joins(), everybody, everybody | {"c": (2, 14)}, everybody | {"c": (2, 16)})
 
 
-def test_two_answers_in_a_row_join_two_robots(grown):
+def test_two_answers_in_a_row_join_robots_where_they_truly_are(grown):
     assert names(grown[0]) == [("a",), ("b",), ("c",), ("far",)]
     assert names(grown[1]) == [("a", "b"), ("c",), ("far",)]
     assert names(grown[2]) == [("a", "b", "c"), ("far",)]
     told = [(event.keyframe, event.kind, event.a, event.b) for joint in grown for event in joint.events]
     assert told == [(2, "joined", "a", "b"), (3, "joined", "a", "c"), (3, "joined", "b", "c")]
     assert all(event.num_pairs >= 8 and 0 < event.sigma_m < 0.1 for joint in grown for event in joint.events)
-
-
-def test_joined_robots_lie_in_one_frame_where_they_truly_are(grown):
     joined = grown[2].frames[0]
     for name, pose in zip(joined.names, joined.frame_from_robot, strict=True):
         assert np.allclose(pose, invert(FRAMES[name]), atol=0.02)

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
 from hickory_stream.engine.shape_jobs.job_folder import read_job, write_job
 from hickory_stream.engine.shape_jobs.processor import processor_kind
@@ -12,6 +11,7 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.shapes.build import build_shape, make_reconstructor
+from tests.cli.test_cli import refusal, said
 from tests.engine.run_fixtures import (
     NO_SHAPES,
     NUM_FRAMES,
@@ -67,46 +67,43 @@ def test_a_shape_of_lossy_views_differs_in_colours_only(tmp_path):
     assert encode_superquadrics(lossy.inflated) == encode_superquadrics(exact.inflated)
 
 
-def test_a_map_with_lossy_views_names_its_codecs_and_verifies(demo_log, tmp_path, capsys):
+def test_a_map_with_lossy_views_names_its_codecs_and_verifies(demo_log, tmp_path):
     path = tmp_path / "map"
     few = ("--frames", "10", "--viewer", "none", "--set", "mapper.mapping.requests.max_failures=0")
-    play = ("play", str(demo_log), "--out", str(path), *few, "--set")
-    assert main([*play, "mapper.run.view_colors=gif"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 1
-    assert "view_colors" in told[0]
-    assert "png" in told[0]
+    play = ("play", demo_log, "--out", path, *few, "--set")
+    (told,) = refusal(*play, "mapper.run.view_colors=gif").splitlines()
+    assert "view_colors" in told and "png" in told
     assert not path.exists()
-    assert main([*play, "mapper.run.view_colors=webp"]) == 0
+    said(*play, "mapper.run.view_colors=webp")
     saved = open_map(path)
     assert endings(saved.views) == {"color.webp", "mask.png", "depth.png", "json"}
     assert saved.manifest.processor.startswith(f"{processor_kind()}, codecs of OpenCV ")
-    assert main(["verify", str(path)]) == 0
+    said("verify", path)
     view = next(tracked for tracked in saved.snapshot.objects if tracked.views).views[0]
     color = crop_files(saved.views, view.name)[0]
     color.write_bytes(color.read_bytes()[:-9])
-    assert main(["verify", str(path)]) == 1
-    assert f"{color}: it is not the file that the view's description tells of" in capsys.readouterr().out
+    assert f"{color}: it is not the file that the view's description tells of" in said("verify", path, status=1)
 
 
-@pytest.mark.parametrize("colors", ["jpeg", "webp"])
-def test_a_map_folder_keeps_and_removes_files_of_a_lossy_view(tmp_path, colors):
+@pytest.mark.parametrize(("colors", "num_files"), [("png", 3), ("jpeg", 4), ("webp", 4)])
+def test_a_map_folder_keeps_and_removes_the_files_of_a_view(tmp_path, colors, num_files):
     folder = create_map_folder(tmp_path / "m", config={}, source={})
-    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))  # a parameter
+    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))
     folder.save(snapshot)
     first = snapshot.objects[0]
     dropped, *_ = (view.name for view in first.views)
     files = crop_files(folder.views, dropped)
-    assert len(files) == 4
+    assert len(files) == num_files
     folder.drop_view(dropped)
     folder.save(snapshot)
     assert all(file.exists() for file in files)
     folder.save(replace(snapshot, objects=(replace(first, views=first.views[1:]), *snapshot.objects[1:])))
     assert not [file for file in folder.views.iterdir() if file.name.startswith(dropped)]
-    kept = {
-        file for tracked in snapshot.objects for view in tracked.views for file in crop_files(folder.views, view.name)
-    }
+    views = [view for tracked in snapshot.objects for view in tracked.views]
+    kept = {file for view in views for file in crop_files(folder.views, view.name)}
     (folder.views / "000077-000.mask.png").write_bytes(b"of a run that was killed")
+    (folder.shapes / "superseded.glb").write_bytes(b"old")
     folder.finish(finished_cleanly=True)
     assert set(folder.views.iterdir()) == {file for file in kept if not file.name.startswith(dropped)}
+    assert sorted(path.name for path in folder.shapes.iterdir()) == ["000001.glb", "000004.glb"]
     assert folder.keep_views([dropped, first.views[1].name]) == {dropped}

@@ -33,6 +33,13 @@ def rewritten(path, copy, num_steps):
     return copy
 
 
+def moved_map(path):
+    """Return another place, and the final map with all its submaps there."""
+    final, moved = final_snapshot(path), np.eye(4)
+    moved[:3, 3] = (1.0, 2.0, 0.0)
+    return moved, replace(final, submaps=tuple(replace(one, world_from_submap=moved) for one in final.submaps))
+
+
 def steps(path):
     return list(recorded_steps(path, final_snapshot(path)))
 
@@ -66,10 +73,7 @@ def test_a_run_that_was_killed_is_told_as_far_as_it_came(path, tmp_path):
 
 
 def test_a_corrected_submap_is_reported_at_its_final_place(path):
-    final = final_snapshot(path)
-    moved = np.eye(4)
-    moved[:3, 3] = (1.0, 2.0, 0.0)
-    elsewhere = replace(final, submaps=(replace(final.submaps[0], world_from_submap=moved), *final.submaps[1:]))
+    moved, elsewhere = moved_map(path)
     for step in recorded_steps(path, elsewhere):
         if step.keyframe is not None:
             np.testing.assert_array_equal(step.keyframe.map_from_odometry, moved)
@@ -77,11 +81,8 @@ def test_a_corrected_submap_is_reported_at_its_final_place(path):
 
 
 def test_the_trajectory_moves_with_its_submaps(path):
-    final = final_snapshot(path)
-    moved = np.eye(4)
-    moved[:3, 3] = (1.0, 2.0, 0.0)
-    submaps = tuple(replace(submap, world_from_submap=moved) for submap in final.submaps)
-    poses, elsewhere = corrected_trajectory(path), corrected_trajectory(path, replace(final, submaps=submaps))
+    moved, final = moved_map(path)
+    poses, elsewhere = corrected_trajectory(path), corrected_trajectory(path, final)
     assert len(poses) == NUM_FRAMES
     for view in (view for tracked in final.objects for view in tracked.views):
         np.testing.assert_allclose(poses[view.stamp_ns], view.world_from_camera, atol=1e-9)

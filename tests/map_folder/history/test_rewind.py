@@ -9,6 +9,7 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.history.resume import save_live, was_sought
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, resume_scene
@@ -30,23 +31,15 @@ class SoughtSource(SceneSource):
         for index, number in enumerate(self._order):
             goes_back = number < last
             self.num_seeks += goes_back
-            decode = partial(_renumbered, scene[number].decode, index)
+            decode = partial(lambda raw, index: replace(raw.decode(), index=index), scene[number], index)
             yield replace(scene[number], index=index, decode=decode, goes_back=goes_back)
             last = number
 
 
-def _renumbered(decode, index):
-    return replace(decode(), index=index)
-
-
 def sought(path, order, *overrides, sink=None, name="map"):
-    from hickory_stream.sinks.disk_sink import DiskSink
-
-    def sinks(folder):
-        return [(DiskSink(folder), True), *([(sink, True)] if sink is not None else [])]
-
-    every = "journal.checkpoint_keyframes=3"
-    return map_scene(path, every, *overrides, source=SoughtSource(order), sinks=sinks, name=name)
+    beside = [] if sink is None else [(sink, True)]
+    sinks = {"sinks": lambda folder: [(DiskSink(folder), True), *beside]}
+    return map_scene(path, "journal.checkpoint_keyframes=3", *overrides, source=SoughtSource(order), name=name, **sinks)
 
 
 def there_and_back():
@@ -96,6 +89,7 @@ def test_the_journal_replays_it_and_knows_both_pasts(gone_back):
     assert [step.goes_back_to for step in steps[: BACK_AT + 2]] == [*[None] * BACK_AT, BACK_TO, None]
     # Of a moment that came twice, the second time counts.
     saved = open_map(run.folder.path)
+    assert (saved.manifest.is_reproducible, saved.ledger["frames"]["rewinds"]) == (False, 1)
     assert map_digest(saved.as_known_at(START_NS + 4 * PERIOD_NS)) == map_digest(known[BACK_AT + 2])
     assert map_digest(saved.as_known_at(START_NS + PERIOD_NS)) == map_digest(known[1])
 
@@ -111,19 +105,13 @@ def test_going_back_again_and_to_the_very_beginning(tmp_path, undisturbed):
 def test_open_shapes_are_committed_again_when_due(tmp_path, undisturbed_run):
     run = sought(tmp_path, there_and_back())
     saved = open_map(run.folder.path)
-    assert [o.shape is not None for o in saved.snapshot.objects] == [
-        o.shape is not None for o in open_map(undisturbed_run.folder.path).snapshot.objects
-    ]
+    plain = open_map(undisturbed_run.folder.path)
+    shaped, expected = ([o.shape is not None for o in one.snapshot.objects] for one in (saved, plain))
+    assert shaped == expected
     assert map_digest(replay(run.folder.path)) == run.digest
     for item in saved.snapshot.objects:
         assert len(saved.mesh(item.shape).vertices) > 0
         assert all((saved.views / f"{view.name}.json").is_file() for view in item.views)
-
-
-def test_such_a_run_is_not_reproducible_and_says_how_often(gone_back):
-    saved = open_map(gone_back[0].folder.path)
-    assert not saved.manifest.is_reproducible
-    assert saved.ledger["frames"]["rewinds"] == 1
 
 
 def test_a_stopped_run_with_seeks_is_saved_and_not_resumed(tmp_path):
@@ -134,11 +122,9 @@ def test_a_stopped_run_with_seeks_is_saved_and_not_resumed(tmp_path):
         if snapshot.revision == BACK_AT + 2:
             mapper.stop()
 
-    path = map_scene(
-        tmp_path, *NO_SHAPES, source=SoughtSource(there_and_back()), on_snapshot=stop, rate=2.0
-    ).folder.path
+    source = SoughtSource(there_and_back())
+    path = map_scene(tmp_path, *NO_SHAPES, source=source, on_snapshot=stop, rate=2.0).folder.path
     assert was_sought(path)
-
     with pytest.raises(MapFolderError, match="somebody sought in the log"):
         resume_scene(path, SceneSource(NUM_FRAMES))
     assert save_live(path) == map_digest(open_map(path).snapshot)

@@ -25,14 +25,9 @@ def test_masks_are_those_of_the_track_that_they_went_to_last():
     book = TrackHistories()
     book.add(1, [told("create", 5, "mask: new", observation_index=0)])
     book.add(2, [told("associate", 5, "IoU 0.9", observation_index=4)])
-    book.add(
-        3,
-        [
-            told("associate", 5, "as a part", observation_index=2),
-            told("split", 6, "seen apart from #5 in 6 keyframes", other_id=5),
-            told("associate", 6, "its mask shows what was a part of #5", observation_index=2),
-        ],
-    )
+    part, again = ((5, "as a part"), (6, "its mask shows what was a part of #5"))
+    split = told("split", 6, "seen apart from #5 in 6 keyframes", other_id=5)
+    book.add(3, [told("associate", *part, observation_index=2), split, told("associate", *again, observation_index=2)])
     assert book.by_id[5].frames == [1, 2]
     assert book.by_id[6].frames == [3]
     assert (book.home(2, 4), book.home(3, 2), book.home(9, 9)) == (5, 6, None)
@@ -42,6 +37,4 @@ def test_masks_are_those_of_the_track_that_they_went_to_last():
 def test_what_is_about_no_object_is_in_no_history():
     book = TrackHistories()
     book.add(1, [told("reject", None, "mask: 3 points"), told("time_jump", None, "loop: stamps jumped")])
-    assert book.by_id == {}
-    assert book.final(1) is None
-    assert book.last(1) is None
+    assert (book.by_id, book.final(1), book.last(1)) == ({}, None, None)
