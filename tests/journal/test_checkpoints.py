@@ -2,6 +2,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from hickory_stream.engine.step_writer import CheckpointTimes
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.journal.checkpoints import PackedTrack, Packer, unpacked
 from hickory_stream.mapping.entities.cloud import Cloud, solid_part, without
@@ -76,3 +77,17 @@ def test_a_page_is_equal_exactly_without_changes():
     back = unpacked(after)
     assert back["votes"] == votes.plus([(1, 31)], apart_ns=1)
     assert {i: track.sightings for i, track in back["tracks"].items()} == {1: 5, 31: 9, 32: 5, 99: 5}
+
+
+def due(keyframes, searching):
+    """Return where a checkpoint is due; `searching` has a 's' for each keyframe with an open search."""
+    times = CheckpointTimes(keyframes)
+    return "".join("x" if times.is_due(searches=one == "s") else "." for one in searching)
+
+
+def test_one_is_due_every_few_keyframes_and_waits_for_searches():
+    assert due(3, ".........") == "..x..x..x"
+    assert due(1, "...") == "xxx"
+    assert due(3, "..sss.....") == ".....x..x."
+    assert due(3, "ss........") == "..x..x..x."
+    assert due(2, "s" * 12) == "...x...x...x"

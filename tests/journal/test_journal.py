@@ -12,8 +12,14 @@ from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, Ope
 from hickory_stream.journal.writer import JournalWriter
 
 NUM_STEPS = 6
-BIG = np.random.default_rng(0).normal(size=(400, 3)).astype(np.float32)
-BIG.flags.writeable = False
+
+
+def stored(array):
+    array.flags.writeable = False
+    return array
+
+
+BIG = stored(np.random.default_rng(0).normal(size=(400, 3)).astype(np.float32))
 
 
 def entry(i, kind=StepKind.KEYFRAME):
@@ -68,8 +74,7 @@ def test_what_was_written_is_read_with_or_without_closing(tmp_path, closes):
         for i, read in enumerate(journal.entries()):
             wanted = entry(i)
             assert read.events == wanted.events
-            assert read.step.counts == wanted.step.counts
-            assert read.step.metrics == wanted.step.metrics
+            assert (read.step.counts, read.step.metrics) == (wanted.step.counts, wanted.step.metrics)
             np.testing.assert_array_equal(read.step.frames[0].world_from_camera[0, 3], i)
         assert [journal.color(i) for i in range(3)] == [None, b"jpeg", None]
 
@@ -89,9 +94,7 @@ def test_a_checkpoint_comes_back_and_writes_no_array_twice(tmp_path):
 
 def test_arrays_of_equal_content_are_stored_once_while_in_use(tmp_path):
     def same(step=0):
-        array = (BIG + np.float32(step)).astype(np.float32)
-        array.flags.writeable = False
-        return array
+        return stored(BIG + np.float32(step))
 
     writer = JournalWriter(tmp_path, flush_s=100.0)
     writer.append(entry(0))
@@ -113,9 +116,7 @@ def test_arrays_of_equal_content_are_stored_once_while_in_use(tmp_path):
 
 
 def test_a_checkpoint_over_many_chunks_unpacks_each_once(tmp_path, monkeypatch):
-    arrays = [BIG + np.float32(i) for i in range(80)]
-    for array in arrays:
-        array.flags.writeable = False
+    arrays = [stored(BIG + np.float32(i)) for i in range(80)]
     writer = JournalWriter(tmp_path, flush_s=100.0)
     writer.append(entry(0))
     for i in range(len(arrays)):
@@ -179,7 +180,7 @@ def test_a_changed_byte_is_found_and_never_misread(whole, place, at, flipped):
         assert read == list(range(1, len(read) + 1))
 
 
-def test_a_continued_journal_is_one_whole_file(tmp_path):
+def test_a_continued_journal_is_whole_but_for_early_commits(tmp_path):
     write(tmp_path, closes=False)
     with Journal(tmp_path) as journal:
         journal.cut_to_resumable()
@@ -192,9 +193,6 @@ def test_a_continued_journal_is_one_whole_file(tmp_path):
         for i in (1, NUM_STEPS):
             found = journal.checkpoint_before(i)
             np.testing.assert_array_equal(found[1].core["_a"], BIG)
-
-
-def test_what_a_stop_has_committed_early_is_not_continued_from(tmp_path):
     write(tmp_path, last=StepKind.CLOSING)
     assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 1))
     with Journal(tmp_path) as journal:
@@ -202,7 +200,9 @@ def test_what_a_stop_has_committed_early_is_not_continued_from(tmp_path):
         assert len(journal) == NUM_STEPS - 1
 
 
-def test_what_is_no_journal_is_refused(tmp_path):
+def test_what_is_no_journal_and_a_disk_that_refuses_are_told(tmp_path):
+    with pytest.raises(MapFolderError, match="cannot write"):
+        JournalWriter(tmp_path / "nowhere", flush_s=0.0)
     with pytest.raises(MapFolderError, match="holds no journal"):
         Journal(tmp_path)
     (tmp_path / JOURNAL).write_bytes(b"something else entirely")
@@ -211,11 +211,6 @@ def test_what_is_no_journal_is_refused(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"")
     with Journal(tmp_path) as journal:
         assert len(journal) == 0
-
-
-def test_a_disk_that_refuses_is_said_in_words(tmp_path):
-    with pytest.raises(MapFolderError, match="cannot write"):
-        JournalWriter(tmp_path / "nowhere", flush_s=0.0)
 
 
 def test_an_event_that_failed_keeps_its_reason(tmp_path):

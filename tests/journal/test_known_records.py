@@ -61,12 +61,9 @@ def test_the_records_of_a_step_are_its_maps_and_written_once(tmp_path):
 
 
 def test_a_journal_without_records_has_none(tmp_path):
-    snapshots = maps()
     writer = JournalWriter(tmp_path, flush_s=60.0)
-    writer.append(entry(0))
-    writer.append(entry(1), known=snapshots[1])
-    writer.append(entry(2), known=snapshots[2])
-    writer.append(entry(3))
+    for i, snapshot in enumerate(maps()[:4]):
+        writer.append(entry(i), **({"known": snapshot} if i in (1, 2) else {}))
     writer.close()
     with Journal(tmp_path) as journal:
         for index in (0, 3):

@@ -57,10 +57,14 @@ def packed(event):
     return stored
 
 
-def test_an_event_comes_back_to_the_byte_and_takes_less():
+def test_an_event_comes_back_to_the_byte_and_takes_less(tmp_path):
     event = seen()
     stored = encode(packed(event))
     assert encode(unpacked_frame(decode(stored))) == encode(event)
+    _written(tmp_path, event)
+    with Journal(tmp_path) as journal:
+        assert encode(journal.entry(0).events) == encode((event,))
+        assert encode(journal.events(0, "FrameObserved")[0]) == encode(event)
     assert len(stored) < 0.5 * len(encode(replace(event, observations=without_returns(event))))
 
 
@@ -68,45 +72,27 @@ def without_returns(event):
     return tuple(replace(one, returns=None) for one in event.observations)
 
 
-def first_without_returns(event):
-    first, *others = event.observations
-    return replace(event, observations=(replace(first, returns=None), *others))
-
-
-def test_depth_in_other_units_is_stored_as_points():
+def test_depth_of_other_units_or_no_camera_is_stored_as_points():
     event = seen(depth_unit_m=None)
     assert all(one.returns is None for one in event.observations)
     assert packed_frame(event) is event
-
-
-def test_a_changed_pose_or_point_makes_points_stored():
-    event = seen()
-    first, second = event.observations
-    pose = event.world_from_camera.copy()
-    pose[0, 3] += 0.25
-    moved = replace(event, world_from_camera=pose)
-    assert encode(packed_frame(moved)) == encode(replace(moved, observations=without_returns(moved)))
-    other = replace(first, points_world=first.points_world + np.float32(0.25))
-    changed = replace(event, observations=(other, second))
-    stored = packed(changed)
-    assert [part.place for part in stored.packed] == [1]
-    assert encode(unpacked_frame(decode(encode(stored)))) == encode(first_without_returns(changed))
-
-
-def test_returns_outside_of_a_changed_mask_are_stored_as_points():
-    event = seen()
-    first, second = event.observations
-    mask = first.mask.copy()
-    mask[tuple(np.argwhere(first.returns.depth_mm)[0])] = False
-    changed = replace(event, observations=(replace(first, mask=mask), second))
-    stored = packed(changed)
-    assert [part.place for part in stored.packed] == [1]
-    assert encode(unpacked_frame(decode(encode(stored)))) == encode(first_without_returns(changed))
-
-
-def test_a_frame_without_its_camera_is_stored_as_points():
     event = replace(seen(), coarse=None)
     assert encode(packed_frame(event)) == encode(replace(event, observations=without_returns(event)))
+
+
+def test_a_changed_pose_point_or_mask_makes_points_stored():
+    event = seen()
+    first, second = event.observations
+    pose, mask = event.world_from_camera.copy(), first.mask.copy()
+    pose[0, 3] += 0.25
+    mask[tuple(np.argwhere(first.returns.depth_mm)[0])] = False
+    moved = replace(event, world_from_camera=pose)
+    assert encode(packed_frame(moved)) == encode(replace(moved, observations=without_returns(moved)))
+    for other in (replace(first, points_world=first.points_world + np.float32(0.25)), replace(first, mask=mask)):
+        stored = packed(replace(event, observations=(other, second)))
+        assert [part.place for part in stored.packed] == [1]
+        expected = replace(event, observations=(replace(other, returns=None), second))
+        assert encode(unpacked_frame(decode(encode(stored)))) == encode(expected)
 
 
 def _changed(data, change):
@@ -163,14 +149,6 @@ def _written(folder, event):
     writer = JournalWriter(folder, flush_s=100.0)
     writer.append(JournalEntry(step=step, events=(event,)))
     writer.close()
-
-
-def test_a_journal_gives_the_event_back(tmp_path):
-    event = seen()
-    _written(tmp_path, event)
-    with Journal(tmp_path) as journal:
-        assert encode(journal.entry(0).events) == encode((event,))
-        assert encode(journal.events(0, "FrameObserved")[0]) == encode(event)
 
 
 def test_damage_of_returns_is_told_as_damage_of_the_journal(tmp_path, monkeypatch):

@@ -34,17 +34,14 @@ def test_rectified_depth_holds_measured_values_only(model, d):
     assert set(np.unique(rectified[np.isfinite(rectified)])) == {1.0, 3.0}
 
 
-@pytest.mark.parametrize(
-    ("model", "d", "opencv_d"),
-    [
-        ("plumb_bob", (-0.3, 0.1, 0.0, 0.0, 0.0), (-0.3, 0.1, 0.0, 0.0)),
-        ("plumb_bob", (-0.3,), (-0.3, 0.0, 0.0, 0.0)),
-        ("Brown Conrady", (-0.3, 0.1, 0.001, 0.0, 0.02, 0.01), (-0.3, 0.1, 0.001, 0.0, 0.02, 0.01, 0.0, 0.0)),
-        ("rational_polynomial", (-0.3, *(0.0,) * 10), (-0.3, 0.0, 0.0, 0.0)),
-        ("equidistant", (-0.1, 0.0, 0.0, 0.0, 0.0), (-0.1, 0.0, 0.0, 0.0)),
-        ("equidistant", (-0.1, 0.02), (-0.1, 0.02, 0.0, 0.0)),
-    ],
-)
+@pytest.mark.parametrize(("model", "d", "opencv_d"), [
+    ("plumb_bob", (-0.3, 0.1, 0.0, 0.0, 0.0), (-0.3, 0.1, 0.0, 0.0)),
+    ("plumb_bob", (-0.3,), (-0.3, 0.0, 0.0, 0.0)),
+    ("Brown Conrady", (-0.3, 0.1, 0.001, 0.0, 0.02, 0.01), (-0.3, 0.1, 0.001, 0.0, 0.02, 0.01, 0.0, 0.0)),
+    ("rational_polynomial", (-0.3, *(0.0,) * 10), (-0.3, 0.0, 0.0, 0.0)),
+    ("equidistant", (-0.1, 0.0, 0.0, 0.0, 0.0), (-0.1, 0.0, 0.0, 0.0)),
+    ("equidistant", (-0.1, 0.02), (-0.1, 0.02, 0.0, 0.0)),
+])  # fmt: skip
 def test_a_point_lands_where_the_pinhole_camera_sees_it(model, d, opencv_d):
     lens = lens_of(_info(d, model), topic="/info", image_size=None, is_rectified=False)
     point = np.array([[[0.4, -0.25, 1.0]]])
@@ -58,25 +55,16 @@ def test_a_point_lands_where_the_pinhole_camera_sees_it(model, d, opencv_d):
     assert abs(rows.mean() - (100 * -0.25 + 60)) < 1.0
 
 
-def test_a_size_that_is_unset_is_the_images_or_refused():
-    lens = lens_of(_info((), size=(0, 0)), topic="/info", image_size=(150, 110), is_rectified=False)
-    assert (lens.camera.width, lens.camera.height) == (150, 110)
-    with pytest.raises(CalibrationError, match="/info has no image size"):
-        lens_of(_info((), size=(0, 0)), topic="/info", image_size=None, is_rectified=False)
-
-
-def test_a_distortion_model_that_is_not_known_is_refused():
-    with pytest.raises(CalibrationError, match="/info has the distortion model 'double_sphere'; known are plumb_bob"):
-        lens_of(_info((0.1,), "double_sphere"), topic="/info", image_size=None, is_rectified=False)
-
-
-@pytest.mark.parametrize(
-    ("model", "d"),
-    [("plumb_bob", (0.1, np.nan)), ("equidistant", (0.1,) * 5), ("plumb_bob", (0.1,) * 15), ("plumb_bob", (1e30,))],
-)
-def test_coefficients_that_no_model_takes_are_refused_by_name(model, d):
-    with pytest.raises(CalibrationError, match=rf"/info: D = \[.*cannot be used.*of {model}"):
-        lens_of(_info(d, model), topic="/info", image_size=None, is_rectified=False)
+@pytest.mark.parametrize(("d", "model", "size", "told"), [
+    ((), "plumb_bob", (0, 0), "/info has no image size"),
+    ((0.1,), "double_sphere", (160, 120), "/info has the distortion model 'double_sphere'; known are plumb_bob"),
+    *((d, model, (160, 120), rf"/info: D = \[.*cannot be used.*of {model}") for model, d in (
+        ("plumb_bob", (0.1, np.nan)), ("equidistant", (0.1,) * 5), ("plumb_bob", (0.1,) * 15), ("plumb_bob", (1e30,)),
+    )),
+])  # fmt: skip
+def test_a_calibration_without_size_or_model_is_refused(d, model, size, told):
+    with pytest.raises(CalibrationError, match=told):
+        lens_of(_info(d, model, size), topic="/info", image_size=None, is_rectified=False)
 
 
 def _pinhole(info, image_size, *, is_rectified=False):
@@ -104,7 +92,8 @@ def test_images_are_regions_of_the_sensor_binned_or_resized(binning, region, ima
     assert _pinhole(replace(_info(()), binning=binning, region=region), image_size) == pytest.approx(expected)
 
 
-def test_a_rectified_region_is_of_p():
+def test_a_rectified_region_is_of_p_and_an_unset_size_the_images():
+    assert _pinhole(_info((), size=(0, 0)), (150, 110))[:2] == (150, 110)
     info = replace(_info((-0.2,)), binning=(2, 2), region=(20, 10, 100, 90))
     assert _pinhole(info, (50, 45), is_rectified=True) == pytest.approx((50, 45, 45, 45.5, 30.5, 25.5))
 

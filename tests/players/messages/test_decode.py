@@ -29,17 +29,10 @@ def _message(encoding, pixels, padding=0, is_big=False):
     return SimpleNamespace(encoding=encoding, is_bigendian=int(is_big), **fields)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "pixel"),
-    [
-        ("rgb8", [200, 0, 0]),
-        ("bgr8", [0, 0, 200]),
-        ("8UC3", [0, 0, 200]),
-        ("rgba8", [200, 0, 0, 9]),
-        ("bgra8", [0, 0, 200, 9]),
-        ("8UC4", [0, 0, 200, 9]),
-    ],
-)
+@pytest.mark.parametrize(("encoding", "pixel"), [
+    ("rgb8", [200, 0, 0]), ("bgr8", [0, 0, 200]), ("8UC3", [0, 0, 200]),
+    ("rgba8", [200, 0, 0, 9]), ("bgra8", [0, 0, 200, 9]), ("8UC4", [0, 0, 200, 9]),
+])  # fmt: skip
 @pytest.mark.parametrize("padding", [0, 5])
 def test_raw_colour_of_every_order_and_step_is_the_same_red(encoding, pixel, padding):
     pixels = np.tile(np.array(pixel, dtype=np.uint8), (4, 6, 1))
@@ -58,19 +51,15 @@ def test_grey_of_8_and_16_bits_is_grey_in_every_channel(is_big):
 
 
 @pytest.mark.parametrize("is_big", [False, True])
+@pytest.mark.parametrize(("encoding", "raw", "expected"), [
+    ("16UC1", np.uint16([[0, 1500], [65535, 250]]), [[np.nan, 1.5], [np.nan, 0.25]]),
+    ("32FC1", np.float32([[np.nan, np.inf, -np.inf], [0.0, -1.0, 2.5]]), [[np.nan] * 3, [np.nan, np.nan, 2.5]]),
+])  # fmt: skip
 @pytest.mark.parametrize("padding", [0, 6])
-def test_millimetres_become_metres_in_any_byte_order(is_big, padding):
-    raw = np.array([[0, 1500], [65535, 250]], dtype=np.uint16)
-    depth = depth_of_pixels(raw_pixels(_message("16UC1", raw, padding, is_big), "depth"))
-    np.testing.assert_allclose(depth, [[np.nan, 1.5], [np.nan, 0.25]], rtol=1e-6)
+def test_depth_is_metres_in_any_byte_order_or_no_return(encoding, raw, expected, is_big, padding):
+    depth = depth_of_pixels(raw_pixels(_message(encoding, raw, padding, is_big), "depth"))
+    np.testing.assert_allclose(depth, expected, rtol=1e-6)
     assert depth.dtype == np.float32
-
-
-@pytest.mark.parametrize("is_big", [False, True])
-def test_float_depth_keeps_metres_and_the_rest_is_no_return(is_big):
-    raw = np.array([[np.nan, np.inf, -np.inf], [0.0, -1.0, 2.5]], dtype=np.float32)
-    depth = depth_of_pixels(raw_pixels(_message("32FC1", raw, 8, is_big), "depth"))
-    np.testing.assert_array_equal(depth, np.array([[np.nan] * 3, [np.nan, np.nan, 2.5]], dtype=np.float32))
 
 
 def test_the_last_row_may_lack_its_padding():
@@ -87,13 +76,10 @@ def test_too_few_raw_pixels_are_refused_with_the_numbers(size):
         raw_pixels(message, "image")
 
 
-def test_png_colour_is_exact_and_jpeg_is_near():
+def test_png_is_exact_jpeg_near_and_zeros_behind_do_no_harm():
     np.testing.assert_array_equal(decode_color(scenes.png_bytes(WAVES[..., ::-1]), "image"), WAVES)
     near = decode_color(scenes.jpeg_bytes(WAVES[..., ::-1]), "image").astype(int) - WAVES
     assert np.abs(near).mean() < 12
-
-
-def test_zeros_behind_a_jpeg_do_no_harm():
     assert decode_color(scenes.jpeg_bytes(WAVES) + bytes(1000), "image").shape == WAVES.shape
 
 
@@ -111,15 +97,12 @@ def test_noise_is_refused_and_never_crashes(data):
     assert compressed_size(data) is None or isinstance(compressed_size(data), tuple)
 
 
-def test_depth_png_has_its_units_and_needs_16_bits():
+def test_depth_png_has_its_units_16_bits_and_may_have_a_header():
     raw = np.array([[0, 5000], [65535, 10000]], dtype=np.uint16)
     depth = decode_depth_png(scenes.png_bytes(raw), 5000.0, "depth")
     np.testing.assert_allclose(depth, [[np.nan, 1.0], [np.nan, 2.0]], rtol=1e-6)
     with pytest.raises(RecordingError, match="uint8 with 1 channels; depth must be 16 bits"):
         decode_depth_png(scenes.png_bytes(np.zeros((3, 3), dtype=np.uint8)), 1000.0, "depth")
-
-
-def test_the_png_of_compressed_depth_is_found_or_missed():
     data = scenes.png_bytes(np.ones((3, 3), dtype=np.uint16))
     assert png_part(bytes(12) + data, "depth") == png_part(data, "depth") == data
     with pytest.raises(RecordingError, match="depth holds no PNG"):

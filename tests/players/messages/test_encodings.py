@@ -39,22 +39,19 @@ def _yuv(rgb):
     return round(y), round(u), round(v)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "order"),
-    [("yuv422", "uyvy"), ("uyvy", "uyvy"), ("UYVY", "uyvy"), ("yuv422_yuy2", "yuyv"), ("yuyv", "yuyv")],
-)
-def test_yuv422_of_either_order_is_the_colour(encoding, order):
-    y, u, v = _yuv(RED)
-    pair = {"uyvy": [u, y, v, y], "yuyv": [y, u, y, v]}[order]
-    message = _message(encoding, np.tile(np.array(pair, dtype=np.uint8), (4, 3)), 4, 6)
-    np.testing.assert_allclose(color_of_pixels(raw_pixels(message, "image"), encoding), np.full((4, 6, 3), RED), atol=4)
+Y, U, V = _yuv(RED)
+PIXELS = {
+    **dict.fromkeys(("yuv422", "uyvy", "UYVY"), np.tile([U, Y, V, Y], (4, 3))),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), np.tile([Y, U, Y, V], (4, 3))),
+    # Colour has rows of its own.
+    "nv12": np.vstack([np.full((4, 6), Y), np.tile([U, V], (2, 3))]),
+    "nv21": np.vstack([np.full((4, 6), Y), np.tile([V, U], (2, 3))]),
+}
 
 
-@pytest.mark.parametrize("encoding", ["nv12", "nv21"])
-def test_nv12_has_its_colour_in_rows_of_their_own(encoding):
-    y, u, v = _yuv(RED)
-    planes = np.vstack([np.full((4, 6), y), np.tile([u, v] if encoding == "nv12" else [v, u], (2, 3))]).astype(np.uint8)
-    message = _message(encoding, planes, 4, 6)
+@pytest.mark.parametrize("encoding", PIXELS)
+def test_yuv_of_every_order_is_the_colour(encoding):
+    message = _message(encoding, PIXELS[encoding].astype(np.uint8), 4, 6)
     np.testing.assert_allclose(color_of_pixels(raw_pixels(message, "image"), encoding), np.full((4, 6, 3), RED), atol=4)
 
 
@@ -161,12 +158,25 @@ def test_noise_is_refused_or_an_image_and_never_crashes(data, encoding):
 def test_an_image_that_claims_to_be_huge_is_refused_early():
     bomb = bytearray(scenes.png_bytes(DEPTH_MM))
     bomb[16:24] = struct.pack(">II", 60_000, 60_000)
-    for decode in (
-        lambda: decode_color(bytes(bomb), "image"),
-        lambda: decode_compressed_depth(bytes(bomb), "", 1.0, "image"),
-    ):
-        with pytest.raises(RecordingError, match="60000x60000 pixels, over the limit"):
-            decode()
+    with pytest.raises(RecordingError, match="60000x60000 pixels, over the limit"):
+        decode_color(bytes(bomb), "image")
+    with pytest.raises(RecordingError, match="60000x60000 pixels, over the limit"):
+        decode_compressed_depth(bytes(bomb), "", 1.0, "image")
+
+
+STAMP = "timestamp 1 Stamp,"
+FOXGLOVE = {
+    "Stamp": "seconds 1 int64,nanos 2 int32",
+    "CompressedImage": STAMP + "frame_id 4 string,data 2 bytes,format 3 string",
+    "RawImage": STAMP
+    + "frame_id 7 string,width 2 fixed32,height 3 fixed32,encoding 4 string,step 5 fixed32,data 6 bytes",
+    "CameraCalibration": STAMP + "frame_id 9 string,width 2 fixed32,height 3 fixed32,distortion_model 4 string,"
+    "D 5 double[],K 6 double[],P 8 double[]",
+    "Vector3": "x 1 double,y 2 double,z 3 double",
+    "Quaternion": "x 1 double,y 2 double,z 3 double,w 4 double",
+    "Pose": "position 1 Vector3,orientation 2 Quaternion",
+    "PoseInFrame": STAMP + "frame_id 2 string,pose 3 Pose",
+}
 
 
 def _descriptors():
@@ -176,40 +186,16 @@ def _descriptors():
     files = descriptor_pb2.FileDescriptorSet()
     file = files.file.add(name="foxglove/all.proto", package="foxglove", syntax="proto3")
     kinds = descriptor_pb2.FieldDescriptorProto
-
-    def message(name, *fields):
+    scalars = {
+        name: getattr(kinds, f"TYPE_{name.upper()}") for name in "string bytes double fixed32 int64 int32".split()
+    }
+    for name, fields in FOXGLOVE.items():
         entry = file.message_type.add(name=name)
-        for field, number, kind, type_name, repeated in fields:
-            label = kinds.LABEL_REPEATED if repeated else kinds.LABEL_OPTIONAL
-            named = {"type_name": type_name} if type_name else {}
-            entry.field.add(name=field, number=number, type=kind, label=label, **named)
-
-    text, raw, double, u32, sub = (
-        kinds.TYPE_STRING, kinds.TYPE_BYTES, kinds.TYPE_DOUBLE, kinds.TYPE_FIXED32, kinds.TYPE_MESSAGE,
-    )  # fmt: skip
-    message("Stamp", ("seconds", 1, kinds.TYPE_INT64, "", False), ("nanos", 2, kinds.TYPE_INT32, "", False))
-    stamp = ("timestamp", 1, sub, ".foxglove.Stamp", False)
-    message(
-        "CompressedImage", stamp, ("frame_id", 4, text, "", False), ("data", 2, raw, "", False),
-        ("format", 3, text, "", False),
-    )  # fmt: skip
-    message(
-        "RawImage", stamp, ("frame_id", 7, text, "", False), ("width", 2, u32, "", False),
-        ("height", 3, u32, "", False), ("encoding", 4, text, "", False), ("step", 5, u32, "", False),
-        ("data", 6, raw, "", False),
-    )  # fmt: skip
-    message(
-        "CameraCalibration", stamp, ("frame_id", 9, text, "", False), ("width", 2, u32, "", False),
-        ("height", 3, u32, "", False), ("distortion_model", 4, text, "", False), ("D", 5, double, "", True),
-        ("K", 6, double, "", True), ("P", 8, double, "", True),
-    )  # fmt: skip
-    axes = tuple((axis, i + 1, double, "", False) for i, axis in enumerate("xyzw"))
-    message("Vector3", *axes[:3])
-    message("Quaternion", *axes)
-    message(
-        "Pose", ("position", 1, sub, ".foxglove.Vector3", False), ("orientation", 2, sub, ".foxglove.Quaternion", False)
-    )
-    message("PoseInFrame", stamp, ("frame_id", 2, text, "", False), ("pose", 3, sub, ".foxglove.Pose", False))
+        for field, number, kind in (one.split() for one in fields.split(",")):
+            scalar = scalars.get(kind.removesuffix("[]"))
+            label = kinds.LABEL_REPEATED if kind.endswith("[]") else kinds.LABEL_OPTIONAL
+            named = {"type": scalar} if scalar else {"type": kinds.TYPE_MESSAGE, "type_name": f".foxglove.{kind}"}
+            entry.field.add(name=field, number=int(number), label=label, **named)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(files.file[0])
     return files.SerializeToString(), pool

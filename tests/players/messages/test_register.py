@@ -47,13 +47,10 @@ def test_the_nearer_of_two_surfaces_wins_whatever_the_order():
     assert register_depth(depth_m, registration)[0, 3] == pytest.approx(1.0)
 
 
-def test_depth_of_the_same_camera_is_returned_as_it_is():
+def test_the_same_camera_keeps_depth_and_no_returns_stay_none():
     depth_m = np.ones((240, 320), dtype=np.float32)
     registration = Registration(depth_camera=DEPTH, color_camera=DEPTH, color_from_depth=np.eye(4))
     assert register_depth(depth_m, registration) is depth_m
-
-
-def test_no_returns_stay_no_returns():
     registration = Registration(depth_camera=DEPTH, color_camera=COLOR, color_from_depth=COLOR_FROM_DEPTH)
     assert np.isnan(register_depth(np.full((240, 320), np.nan, dtype=np.float32), registration)).all()
 
