@@ -4,12 +4,9 @@ import pytest
 from players.logs.clock_steps import ClockSteps, Timed
 
 MS, S = 1_000_000, 1_000_000_000
-TOPICS = {
-    "color": (100 * MS, 40 * MS),
-    "depth": (166 * MS, 55 * MS),
-    "odom": (20 * MS, 2 * MS),
-    "tf": (33 * MS, 4 * MS),
-}
+TOPICS = {name: (period * MS, delay * MS) for name, period, delay in (
+    ("color", 100, 40), ("depth", 166, 55), ("odom", 20, 2), ("tf", 33, 4),
+)}  # fmt: skip
 MIDDLE = 2 * S
 
 
@@ -19,9 +16,7 @@ def _stream(change=lambda topic, stamp, log: (stamp, log)):
     for topic, (period, delay) in TOPICS.items():
         for true in range(0, 4 * S, period):
             stamp, log = change(topic, true, true + delay)
-            rows.append(
-                (true + delay if log <= true + delay else log, Timed(topic, stamp + 100 * S, log + 100 * S, true))
-            )
+            rows.append((max(log, true + delay), Timed(topic, stamp + 100 * S, log + 100 * S, true)))
     return [timed for _, timed in sorted(rows, key=lambda row: row[0])]
 
 
@@ -77,10 +72,8 @@ def test_a_step_of_some_topics_alone_is_corrected(topics, step_s):
 @pytest.mark.parametrize("back_s", [0.3, 0.81, 1.5])
 def test_a_log_sorted_after_a_step_loses_its_mixed_times(back_s):
     rows = sorted(_stream(_set(-round(back_s * S), with_log=True)), key=lambda timed: timed.log_ns)
-    clock, rows = (
-        ClockSteps(),
-        [t._replace(message=SimpleNamespace(true=t.message, data=b"%d" % t.message)) for t in rows],
-    )
+    rows = [t._replace(message=SimpleNamespace(true=t.message, data=b"%d" % t.message)) for t in rows]
+    clock = ClockSteps()
     found = [(timed, number) for timed, number in clock.numbered(rows) if number >= 0]
     # Only the second message of a stream shows that it is one of two.
     wrong = [timed.topic for timed, number in found if number != (timed.message.true >= MIDDLE)]

@@ -3,6 +3,7 @@ import logging
 import random
 import shutil
 import struct
+import sys
 import zipfile
 import numpy as np
 import pytest
@@ -50,8 +51,11 @@ def _truth_of(layout):
 
 @pytest.mark.parametrize("layout", POSED)
 def test_poses_and_stamps_are_those_written(logs, layout):
-    frames, truth = list(open_source(logs[layout]).frames()), _truth_of(layout)
-    assert len(frames) == len(truth)
+    source, truth = open_source(logs[layout]), _truth_of(layout)
+    frames = list(source.frames())
+    assert len(frames) == len(truth) == source.ledger()["frames"]
+    assert source.ledger().get("no_pose", 0) == len(TRUTH) - len(truth)
+    assert source.account().as_dict()["difference"] == 0
     for frame, true in zip(frames, truth, strict=True):
         np.testing.assert_allclose(frame.world_from_camera, true.world_from_camera, atol=1e-5)
         start_ns = 0 if layout == "scannet_sens" else TRUTH[0].stamp_ns
@@ -72,19 +76,10 @@ def test_depth_in_metres_lies_on_colour(logs, layout):
         error_m = (frame.depth_m - true.depth_m)[both]
         assert np.median(np.abs(error_m)) < 0.02  # of pixels twice as large on slanted surfaces
         assert abs(np.median(error_m)) < 0.012
-
-
-def test_the_extrinsics_of_a_sens_lead_from_depth_to_colour(logs):
-    registration = open_source(logs["scannet_sens"]).content.frames[0].view.registration
-    np.testing.assert_allclose(registration.color_from_depth, COLOR_FROM_DEPTH, atol=1e-6)
-    assert registration.depth_camera.fx == pytest.approx(0.97 * scenes.CAMERA.fx)
-
-
-def test_a_lost_pose_of_scannet_is_counted(logs):
-    source = open_source(logs["scannet_sens"])
-    list(source.frames())
-    assert source.ledger() == {"frames": len(TRUTH) - 1, "no_pose": 1}
-    assert source.account().as_dict()["difference"] == 0
+    if layout == "scannet_sens":
+        registration = source.content.frames[0].view.registration
+        np.testing.assert_allclose(registration.color_from_depth, COLOR_FROM_DEPTH, atol=1e-6)
+        assert registration.depth_camera.fx == pytest.approx(0.97 * scenes.CAMERA.fx)
 
 
 def test_scannet_without_stamps_counts_frames(copied):
@@ -105,30 +100,45 @@ def test_a_sens_that_is_cut_off_keeps_its_first_frames(copied):
     assert "is cut off or damaged at byte" in account["damage"][0]
 
 
-def test_a_sens_that_was_not_closed_is_read_to_its_end(copied):
-    at = 12 + len("StructureSensor") + 4 * 64 + 28
-    source = open_source(copied("scannet_sens", lambda data: data[:at] + bytes(8) + data[at + 8 :]))
-    assert len(list(source.frames())) == len(TRUTH) - 1
-    assert source.account().as_dict()["damage"] == ["log.sens was not closed: it declares no frames, and has 6"]
-
-
-@pytest.mark.parametrize("count", [2**63, 1_000_000])
-def test_a_false_count_of_frames_costs_no_memory(copied, count):
+@pytest.mark.parametrize("count", [0, 2**63, 1_000_000])
+def test_a_false_count_of_frames_costs_neither_frames_nor_memory(copied, count):
     at = 12 + len("StructureSensor") + 4 * 64 + 28
     path = copied("scannet_sens", lambda data: data[:at] + struct.pack("<Q", count) + data[at + 8 :])
     found = examine([path], SourceOptions())
-    assert found.frames["frames"] == len(TRUTH) - 1
-    assert found.status == 3
+    assert (found.frames["frames"], found.status) == (len(TRUTH) - 1, 3)
+    if not count:
+        source = open_source(path)
+        assert len(list(source.frames())) == len(TRUTH) - 1
+        assert source.account().as_dict()["damage"] == ["log.sens was not closed: it declares no frames, and has 6"]
 
 
-def test_altered_depth_is_an_unreadable_image(copied):
+def _flipped(place):
     def alter(data):
-        data[-20] ^= 0xFF  # within the last depth image
+        data[place] ^= 0xFF
         return data
 
-    *_, last = open_source(copied("scannet_sens", alter)).frames()
+    return alter
+
+
+def test_an_altered_image_of_any_container_is_unreadable(copied, logs, tmp_path):
+    *_, last = open_source(copied("scannet_sens", _flipped(-20))).frames()  # within the last depth image
     with pytest.raises(RecordingError, match="depth of frame 5"):
         last.decode()
+    with zipfile.ZipFile(logs["record3d"]) as archive:
+        place = archive.getinfo("rgbd/2.depth").header_offset + 100
+    source = open_source(copied("record3d", _flipped(place)))
+    frames = list(source.frames())
+    with pytest.raises(RecordingError, match=r"rgbd/2\.depth is damaged"):
+        frames[2].decode()
+    frames[3].decode()
+    assert source.ledger() == {"frames": len(TRUTH), "unreadable_image": 1}
+    folder = shutil.copytree(logs["record3d_exr"], tmp_path / "log")
+    file = folder / "EXR_RGBD" / "depth" / "1.exr"
+    file.write_bytes(file.read_bytes()[:-40])
+    frames = list(open_source(folder).frames())
+    with pytest.raises(RecordingError, match=r"1\.exr is no EXR image, or damaged"):
+        frames[1].decode()
+    frames[2].decode()
 
 
 def test_depth_of_low_confidence_is_no_return(logs):
@@ -151,32 +161,24 @@ def _with_metadata(path, to, **changes):
     return to
 
 
-def test_an_old_r3d_without_sizes_of_depth_is_read(logs, tmp_path):
-    path = _with_metadata(
-        logs["record3d"], tmp_path / "a.r3d", dw=None, dh=None, frameTimestamps=None, perFrameIntrinsicCoeffs=None
-    )
-    frames, whole = list(open_source(path).frames()), next(open_source(logs["record3d"]).frames())
+def test_metadata_of_an_r3d_may_lack_much_or_differ_by_frame(logs, tmp_path):
+    def opened(options=None, **changes):
+        return open_source(_with_metadata(logs["record3d"], tmp_path / "a.r3d", **changes), options)
+
+    frames = list(opened(dw=None, dh=None, frameTimestamps=None, perFrameIntrinsicCoeffs=None).frames())
+    whole = next(open_source(logs["record3d"]).frames())
     np.testing.assert_array_equal(frames[0].decode().depth_m, whole.decode().depth_m)
     assert frames[3].stamp_ns == 50_000_000
-
-
-def test_an_r3d_that_begins_anywhere_is_levelled(logs, tmp_path):
-    source = open_source(_with_metadata(logs["record3d"], tmp_path / "a.r3d", initPose=None))
+    source = opened(initPose=None)
     assert "level surfaces" in dict(source.info.streams)["up"]
     ups = [frame.world_from_camera[2, :3] for frame in source.frames()]
     np.testing.assert_allclose(ups, [frame.world_from_camera[2, :3] for frame in TRUTH], atol=0.02)
-
-
-def test_a_video_of_the_front_camera_has_no_poses(logs, tmp_path):
-    path = _with_metadata(logs["record3d"], tmp_path / "a.r3d", poses=[[0, 0, 0, 1, 0, 0, 0]] * len(TRUTH))
-    with pytest.raises(RecordingError, match="found 6 no_pose"):
-        open_source(path, SourceOptions(odometry="topic"))
-
-
-def test_each_frame_of_record3d_has_its_own_focal_length(logs, tmp_path):
     coefficients = [[70 + i, 71 + i, 39.5, 29.5] for i in range(len(TRUTH))]
-    path = _with_metadata(logs["record3d"], tmp_path / "a.r3d", perFrameIntrinsicCoeffs=coefficients)
-    assert [frame.camera.fx for frame in open_source(path).frames()] == [70, 71, 72, 73, 74, 75]
+    frames = opened(perFrameIntrinsicCoeffs=coefficients).frames()
+    assert [frame.camera.fx for frame in frames] == [70, 71, 72, 73, 74, 75]
+    # A video of the front camera has no poses.
+    with pytest.raises(RecordingError, match="found 6 no_pose"):
+        opened(SourceOptions(odometry="topic"), poses=[[0, 0, 0, 1, 0, 0, 0]] * len(TRUTH))
 
 
 def test_unpacked_r3d_and_png_depth_are_read_too(logs, tmp_path):
@@ -194,67 +196,32 @@ def test_unpacked_r3d_and_png_depth_are_read_too(logs, tmp_path):
     assert np.nanmedian(next(open_source(exported).frames()).decode().depth_m) == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"w": 10**9}, "images of 1000000000x60 pixels"),
-        ({"dw": -4}, "images of -4x30 pixels"),
-        ({"K": [1, 2]}, "IndexError"),
-        ({"K": [0] * 9}, "fx is 0"),
-        ({"poses": [[1, 2]]}, "expected JSON of Record3D"),
-        ({"poses": "none"}, "expected JSON of Record3D"),
-        ({"frameTimestamps": [float("inf")]}, "expected JSON of Record3D"),
-        ({"fps": float("nan")}, "nan frames per second"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"w": 10**9}, "images of 1000000000x60 pixels"),
+    ({"dw": -4}, "images of -4x30 pixels"),
+    ({"K": [1, 2]}, "IndexError"),
+    ({"K": [0] * 9}, "fx is 0"),
+    ({"poses": [[1, 2]]}, "expected JSON of Record3D"),
+    ({"poses": "none"}, "expected JSON of Record3D"),
+    ({"frameTimestamps": [float("inf")]}, "expected JSON of Record3D"),
+    ({"fps": float("nan")}, "nan frames per second"),
+])  # fmt: skip
 def test_malformed_metadata_of_record3d_is_refused(logs, tmp_path, changes, message):
     path = _with_metadata(logs["record3d"], tmp_path / "a.r3d", **changes)
     with pytest.raises(CalibrationError, match=message):
         open_source(path)
 
 
-def test_an_r3d_without_its_end_is_refused(copied):
-    with pytest.raises(RecordingError, match=r"without its directory.*copy it again"):
-        open_source(copied("record3d", lambda data: data[: len(data) // 2]))
-
-
-def test_an_altered_member_of_an_r3d_is_unreadable(logs, copied):
-    with zipfile.ZipFile(logs["record3d"]) as archive:
-        place = archive.getinfo("rgbd/2.depth").header_offset + 100
-
-    def alter(data):
-        data[place] ^= 0xFF
-        return data
-
-    source = open_source(copied("record3d", alter))
-    frames = list(source.frames())
-    with pytest.raises(RecordingError, match=r"rgbd/2\.depth is damaged"):
-        frames[2].decode()
-    frames[3].decode()
-    assert source.ledger() == {"frames": len(TRUTH), "unreadable_image": 1}
-
-
-def test_a_damaged_exr_is_an_unreadable_image(logs, tmp_path):
-    folder = shutil.copytree(logs["record3d_exr"], tmp_path / "log")
-    file = folder / "EXR_RGBD" / "depth" / "1.exr"
-    file.write_bytes(file.read_bytes()[:-40])
-    frames = list(open_source(folder).frames())
-    with pytest.raises(RecordingError, match=r"1\.exr is no EXR image, or damaged"):
-        frames[1].decode()
-    frames[2].decode()
-
-
-def test_a_missing_package_names_the_way_out(logs, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "lzfse", None)
-    with pytest.raises(RecordingError, match=r"needs the package lzfse.*pip install lzfse, or export EXR \+ JPEG"):
-        open_source(logs["record3d"])
-
-
-def test_other_zip_archives_are_refused(tmp_path):
+def test_zips_r3d_without_an_end_and_without_lzfse_are_refused(logs, copied, tmp_path, monkeypatch):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("notes.txt", "nothing")
     with pytest.raises(RecordingError, match=r"no metadata of Record3D; found notes\.txt"):
         open_source(tmp_path / "a.zip")
+    with pytest.raises(RecordingError, match=r"without its directory.*copy it again"):
+        open_source(copied("record3d", lambda data: data[: len(data) // 2]))
+    monkeypatch.setitem(sys.modules, "lzfse", None)
+    with pytest.raises(RecordingError, match=r"needs the package lzfse.*pip install lzfse, or export EXR \+ JPEG"):
+        open_source(logs["record3d"])
 
 
 def test_a_viewer_bag_brings_units_extrinsics_and_topics(logs, caplog):
@@ -283,9 +250,8 @@ def test_older_viewer_bags_have_units_among_properties(tmp_path, monkeypatch):
     monkeypatch.setattr(ViewerBag, "version", "")
     source = open_source(_written("realsense_viewer", tmp_path))
     assert source.played.setup.depth_units_per_m == pytest.approx(10_000)
-    assert np.nanmedian(next(source.frames()).decode().depth_m) == pytest.approx(
-        np.nanmedian(TRUTH[0].depth_m), abs=0.05
-    )
+    depth_m = next(source.frames()).decode().depth_m
+    assert np.nanmedian(depth_m) == pytest.approx(np.nanmedian(TRUTH[0].depth_m), abs=0.05)
 
 
 def test_poses_of_a_file_serve_a_viewer_bag(logs, tmp_path):
@@ -324,7 +290,7 @@ def test_no_damage_crashes_a_reader(copied, layout):
     assert min(outcomes.values()) > 0
 
 
-def test_the_doctor_says_what_an_unknown_folder_lacks(tmp_path):
+def test_the_doctor_says_what_a_folder_lacks_or_which_is_a_log(tmp_path, logs):
     for name in ("rgb/0.png", "rgb/1.png", "depth/0.png", "camera.yaml", "notes"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
@@ -334,9 +300,6 @@ def test_the_doctor_says_what_an_unknown_folder_lacks(tmp_path):
     assert any(note.startswith("BOP: found rgb/*.png, depth/*.png; missing scene_camera.json") for note in found.notes)
     with pytest.raises(RecordingError, match="missing scene_camera"):
         open_source(tmp_path)
-
-
-def test_the_doctor_names_a_folder_within_that_is_a_log(logs):
     found = examine([logs["record3d_exr"].parent], SourceOptions())
     assert found.notes == [f"{logs['record3d_exr']} is of the layout Record3D export: name it"]
 

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
@@ -11,6 +12,10 @@ from tests import player_scenes as scenes
 
 TRUTH = scenes.make_scene()
 REGISTERED = SourceOptions(profile="registered")
+RIG = """
+rig = {body = "a", color = "b", depth = "b", links = [{parent = "a", child = "b", translation_m = [0, nan, 0]}]}
+"""
+FAR = "100.5 0 0 0 0 0 0 1\n101.5 0 0 0 0 0 0 1\n"
 
 
 @pytest.fixture
@@ -31,9 +36,8 @@ def posed(tmp_path):
 def test_7_scenes_colour_is_a_camera_of_its_own_by_default(tmp_path):
     depth_camera = Camera(width=160, height=120, fx=146.25, fy=146.25, cx=80.0, cy=60.0)
     profile = tmp_path / "small.toml"
-    profile.write_text(
-        "color_from_depth_m = [-0.0343, 0.0080, 0.0]\n[color]\nfx = 131.4\nfy = 131.4\ncx = 80.9\ncy = 58.9\n"
-    )
+    lens = "{fx = 131.4, fy = 131.4, cx = 80.9, cy = 58.9}"
+    profile.write_text(f"color_from_depth_m = [-0.0343, 0.0080, 0.0]\ncolor = {lens}\n")
     color_camera = Camera(width=160, height=120, fx=131.4, fy=131.4, cx=80.9, cy=58.9)
     color_from_depth = from_rotation_translation(np.eye(3), np.array([-0.0343, 0.0080, 0.0]))
     frames = []
@@ -41,14 +45,9 @@ def test_7_scenes_colour_is_a_camera_of_its_own_by_default(tmp_path):
         # The scene's pose is the colour camera's; the folder holds the depth camera's.
         world_from_depth = truth.world_from_camera @ color_from_depth
         depth = scenes.cast(depth_camera, world_from_depth)[1]
-        frames.append(
-            scenes.SceneFrame(
-                stamp_ns=truth.stamp_ns,
-                world_from_camera=world_from_depth,
-                rgb=scenes.cast(color_camera, truth.world_from_camera)[0],
-                depth_mm=np.round(np.where(depth < 6, depth, 0) * 1000).astype(np.uint16),
-            )
-        )
+        rgb = scenes.cast(color_camera, truth.world_from_camera)[0]
+        depth_mm = np.round(np.where(depth < 6, depth, 0) * 1000).astype(np.uint16)
+        frames.append(replace(truth, world_from_camera=world_from_depth, rgb=rgb, depth_mm=depth_mm))
     folder = scenes.write_seven_scenes(tmp_path / "seven", frames, depth_camera)
     source = open_source(folder, SourceOptions(profile=str(profile)))
     assert source.info.camera == color_camera
@@ -59,23 +58,21 @@ def test_7_scenes_colour_is_a_camera_of_its_own_by_default(tmp_path):
         assert (np.abs(depth_m - expected)[both] < 0.05).mean() > 0.95
 
 
-def test_the_profile_of_7_scenes_is_the_fitted_colour_camera(seven):
+def test_7_scenes_is_upright_at_30_hz_with_the_fitted_camera(seven):
     camera = open_source(seven).info.camera
     # An eighth of 525.7, 525.7, 323.6, 235.7 of 640x480; pixel centres are at integers.
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((65.7125, 65.7125, 40.0125, 29.025))
-
-
-def test_7_scenes_stamps_are_file_numbers_at_30_hz(seven):
-    stamps = [frame.stamp_ns for frame in open_source(seven, REGISTERED).frames()]
-    assert stamps == [100_000_000 * i for i in range(len(TRUTH))]
-
-
-def test_the_world_is_turned_upright_by_the_gravity_file(seven):
-    upright = next(open_source(seven, REGISTERED).frames()).world_from_camera
+    upright, *rest = open_source(seven, REGISTERED).frames()
+    assert [frame.stamp_ns for frame in (upright, *rest)] == [100_000_000 * i for i in range(len(TRUTH))]
     (seven / "gravity-direction.txt").unlink()
     tilted = next(open_source(seven, REGISTERED).frames()).world_from_camera
-    np.testing.assert_allclose(upright, TRUTH[0].world_from_camera, atol=1e-9)
-    assert np.degrees(np.arccos((upright @ np.linalg.inv(tilted))[2, 2])) == pytest.approx(30.0)
+    np.testing.assert_allclose(upright.world_from_camera, TRUTH[0].world_from_camera, atol=1e-9)
+    turned = upright.world_from_camera @ np.linalg.inv(tilted)
+    assert np.degrees(np.arccos(turned[2, 2])) == pytest.approx(30.0)
+    for file in seven.glob("*.pose.txt"):
+        file.unlink()
+    with pytest.raises(RecordingError, match=r"no frame has colour, depth and a pose; found 6 no_pose"):
+        open_source(seven, SourceOptions(odometry="topic"))
 
 
 def test_files_without_partners_or_poses_are_counted(seven):
@@ -93,28 +90,20 @@ def test_files_without_partners_or_poses_are_counted(seven):
     assert (account["difference"], account["not_played"], account["is_complete"]) == (0, 0, True)
 
 
-@pytest.mark.parametrize(
-    ("layout", "file", "text", "message"),
-    [
-        ("seven", "camera-intrinsics.txt", None, r"has no camera-intrinsics\.txt; it must hold the 3x3"),
-        ("seven", "camera-intrinsics.txt", "1 2 3", r"camera-intrinsics\.txt"),
-        ("seven", "camera-intrinsics.txt", "a b c", r"camera-intrinsics\.txt"),
-        ("seven", "camera-intrinsics.txt", "0 0 0 0 0 0 0 0 1", r"camera-intrinsics\.txt"),
-        ("tum", "depth.txt", None, r"looks like TUM RGB-D but has no depth\.txt"),
-        ("tum", "rgb.txt", "# list\nsoon rgb/1.png\n", r"rgb\.txt, line 2: 'soon' is no stamp"),
-        ("tum", "groundtruth.txt", "# nothing\n100.5 0 0 0 0 0 0 0\n", r"groundtruth\.txt holds no pose"),
-        (
-            "tum",
-            "groundtruth.txt",
-            "100.5 0 0 0 0 0 0 1\n101.5 0 0 0 0 0 0 1\n",
-            r"images from 1700000000\.123 s to .* poses from 100\.500 s to 101\.500 s",
-        ),
-        ("posed", "camera_poses.txt", "1 2 3 4 5 6 7\n", "line 1: 7 numbers; expected 16 or 12"),
-        ("posed", "camera_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", r"1 poses in camera_poses\.txt for 6 images"),
-        ("posed", "cam_params.json", None, r"has no cam_params\.json"),
-        ("posed", "cam_params.json", '{"fx": 3}', r"cam_params\.json: KeyError\('fy'\); expected fx, fy"),
-    ],
-)
+@pytest.mark.parametrize(("layout", "file", "text", "message"), [
+    ("seven", "camera-intrinsics.txt", None, r"has no camera-intrinsics\.txt; it must hold the 3x3"),
+    ("seven", "camera-intrinsics.txt", "1 2 3", r"camera-intrinsics\.txt"),
+    ("seven", "camera-intrinsics.txt", "a b c", r"camera-intrinsics\.txt"),
+    ("seven", "camera-intrinsics.txt", "0 0 0 0 0 0 0 0 1", r"camera-intrinsics\.txt"),
+    ("tum", "depth.txt", None, r"looks like TUM RGB-D but has no depth\.txt"),
+    ("tum", "rgb.txt", "# list\nsoon rgb/1.png\n", r"rgb\.txt, line 2: 'soon' is no stamp"),
+    ("tum", "groundtruth.txt", "# nothing\n100.5 0 0 0 0 0 0 0\n", r"groundtruth\.txt holds no pose"),
+    ("tum", "groundtruth.txt", FAR, r"images from 1700000000\.123 s to .* poses from 100\.500 s to 101\.500 s"),
+    ("posed", "camera_poses.txt", "1 2 3 4 5 6 7\n", "line 1: 7 numbers; expected 16 or 12"),
+    ("posed", "camera_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", r"1 poses in camera_poses\.txt for 6 images"),
+    ("posed", "cam_params.json", None, r"has no cam_params\.json"),
+    ("posed", "cam_params.json", '{"fx": 3}', r"cam_params\.json: KeyError\('fy'\); expected fx, fy"),
+])  # fmt: skip
 def test_a_file_that_is_missing_or_broken_is_named(request, layout, file, text, message):
     folder = request.getfixturevalue(layout)
     (folder / file).unlink()
@@ -124,14 +113,7 @@ def test_a_file_that_is_missing_or_broken_is_named(request, layout, file, text, 
         open_source(folder)
 
 
-def test_7_scenes_without_its_own_poses_is_refused(seven):
-    for file in seven.glob("*.pose.txt"):
-        file.unlink()
-    with pytest.raises(RecordingError, match=r"no frame has colour, depth and a pose; found 6 no_pose"):
-        open_source(seven, SourceOptions(odometry="topic"))
-
-
-def test_a_torn_image_fails_when_it_is_decoded_and_only_then(seven):
+def test_torn_other_sized_and_blind_images_are_counted(seven):
     torn = seven / "frame-000006.depth.png"
     torn.write_bytes(torn.read_bytes()[:-30])
     source = open_source(seven, REGISTERED)
@@ -139,16 +121,10 @@ def test_a_torn_image_fails_when_it_is_decoded_and_only_then(seven):
     with pytest.raises(RecordingError, match=r"frame-000006\.depth\.png is torn"):
         frames[2].decode()
     assert source.ledger() == {"frames": len(TRUTH), "unreadable_image": 1}
-
-
-def test_a_frame_of_another_size_is_counted_and_skipped(seven):
     scenes.write_png(seven / "frame-000006.color.png", np.zeros((30, 40, 3), dtype=np.uint8))
     source = open_source(seven, REGISTERED)
     assert [frame.index for frame in source.frames()] == list(range(len(TRUTH) - 1))
     assert source.ledger() == {"frames": len(TRUTH) - 1, "frame_of_other_size": 1}
-
-
-def test_depth_without_a_single_return_is_a_frame_and_counted(seven):
     scenes.write_png(seven / "frame-000000.depth.png", np.zeros((60, 80), dtype=np.uint16))
     source = open_source(seven, REGISTERED)
     assert np.isnan(next(source.frames()).decode().depth_m).all()
@@ -166,26 +142,19 @@ def test_the_sensor_of_a_profile_bounds_the_depth_of_frames(seven, tmp_path):
     np.testing.assert_allclose(frame.depth_m, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("depth_unit = 3", "unexpected keyword argument 'depth_unit'"),
-        ("[color]\nfx = 3.0", "missing"),
-        ("frame_rate_hz = 0", "frame_rate_hz is 0; expected 1 to 1000 Hz"),
-        ("[sensor]\nmax_m = -5", "max_m is -5; expected 0.01 to 10000 m"),
-        ("depth_units_per_m = nan", "depth_units_per_m is nan; expected 0.001 to 1000000000 1/m"),
-        ("color_from_depth_m = [0, inf, 0]", "color_from_depth_m is .*inf.*; expected -100 to 100 m"),
-        ("[color]\nfx = nan\nfy = 1\ncx = 1\ncy = 1", "fx is nan; expected 0.001 to 1000000 px"),
-        ("[time]\nsync_tolerance_ms = nan", "sync_tolerance_ms is nan; expected 0.001 to 3600000 ms"),
-        ("[time]\njump_m = inf", "jump_m is inf; expected 0.001 to 1000 m"),
-        (
-            '[rig]\nbody = "a"\ncolor = "b"\ndepth = "b"\n'
-            '[[rig.links]]\nparent = "a"\nchild = "b"\ntranslation_m = [0, nan, 0]',
-            "translation_m is .*nan.*; expected -1000 to 1000 m",
-        ),
-        ("= 4", "Invalid"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("depth_unit = 3", "unexpected keyword argument 'depth_unit'"),
+    ("[color]\nfx = 3.0", "missing"),
+    ("frame_rate_hz = 0", "frame_rate_hz is 0; expected 1 to 1000 Hz"),
+    ("[sensor]\nmax_m = -5", "max_m is -5; expected 0.01 to 10000 m"),
+    ("depth_units_per_m = nan", "depth_units_per_m is nan; expected 0.001 to 1000000000 1/m"),
+    ("color_from_depth_m = [0, inf, 0]", "color_from_depth_m is .*inf.*; expected -100 to 100 m"),
+    ("[color]\nfx = nan\nfy = 1\ncx = 1\ncy = 1", "fx is nan; expected 0.001 to 1000000 px"),
+    ("[time]\nsync_tolerance_ms = nan", "sync_tolerance_ms is nan; expected 0.001 to 3600000 ms"),
+    ("[time]\njump_m = inf", "jump_m is inf; expected 0.001 to 1000 m"),
+    (RIG, "translation_m is .*nan.*; expected -1000 to 1000 m"),
+    ("= 4", "Invalid"),
+])  # fmt: skip
 def test_a_profile_with_a_mistake_is_refused(seven, tmp_path, text, message):
     profile = tmp_path / "mine.toml"
     profile.write_text(text)
@@ -193,41 +162,34 @@ def test_a_profile_with_a_mistake_is_refused(seven, tmp_path, text, message):
         open_source(seven, SourceOptions(profile=str(profile)))
 
 
-def test_an_unknown_profile_is_refused_with_the_known_ones(seven):
+def test_a_tum_folder_without_intrinsics_uses_the_known_profile(tum):
     with pytest.raises(CalibrationError, match=r"no profile 'kinect'; there are arkit_scenes, bop, hope, .*, tum, zed"):
-        open_source(seven, SourceOptions(profile="kinect"))
-
-
-def test_a_tum_folder_without_intrinsics_uses_the_profile(tum):
+        open_source(tum, SourceOptions(profile="kinect"))
+    with pytest.raises(RecordingError, match="found 6 color_without_depth, 6 depth_without_color"):
+        open_source(tum, SourceOptions(sync_tolerance_ns=1_000_000))
     (tum / "camera-intrinsics.txt").unlink()
     camera = open_source(tum).info.camera
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (65.625, 65.625, 39.5, 29.5)  # an eighth of 640x480
+    for pattern in ("rgb/*", "depth/*"):
+        _resize(tum, pattern, (80, 45))
+    with pytest.raises(CalibrationError, match=r"of 640x480 pixels, those of 80x45.*camera-intrinsics.txt"):
+        open_source(tum)
 
 
-def test_a_narrow_tolerance_leaves_tum_images_unpaired(tum):
-    with pytest.raises(RecordingError, match="found 6 color_without_depth, 6 depth_without_color"):
-        open_source(tum, SourceOptions(sync_tolerance_ns=1_000_000))
-
-
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5, "depth_scale": 0.001},
-        {"K": scenes.CAMERA.K.tolist(), "depth_units_per_m": 1000.0},
-        {"camera": {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5}},
-    ],
-)
-def test_cam_params_are_read_as_people_write_them(posed, parameters):
+@pytest.mark.parametrize("parameters", [
+    {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5, "depth_scale": 0.001},
+    {"K": scenes.CAMERA.K.tolist(), "depth_units_per_m": 1000.0},
+    {"camera": {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5}},
+])  # fmt: skip
+def test_cam_params_and_poses_are_read_as_people_write_them(posed, parameters):
     (posed / "cam_params.json").write_text(json.dumps(parameters))
+    # Twelve numbers are as good as sixteen.
+    np.savetxt(posed / "camera_poses.txt", [truth.world_from_camera[:3].ravel() for truth in TRUTH])
     source = open_source(posed)
     assert source.info.camera == scenes.CAMERA
-    np.testing.assert_allclose(next(source.frames()).decode().depth_m, TRUTH[0].depth_m, atol=1e-6)
-
-
-def test_poses_of_twelve_numbers_are_as_good_as_of_sixteen(posed):
-    np.savetxt(posed / "camera_poses.txt", [truth.world_from_camera[:3].ravel() for truth in TRUTH])
-    for raw, truth in zip(open_source(posed).frames(), TRUTH, strict=True):
+    for raw, truth in zip(source.frames(), TRUTH, strict=True):
         np.testing.assert_allclose(raw.world_from_camera, truth.world_from_camera, atol=1e-9)
+    np.testing.assert_allclose(next(source.frames()).decode().depth_m, TRUTH[0].depth_m, atol=1e-6)
 
 
 def _resize(folder, pattern, size):
@@ -257,23 +219,12 @@ def test_images_resized_since_their_calibration_are_told(posed):
     assert dict(source.info.streams)["camera_info"] == "cam_params.json (scaled from 80x60)"
 
 
-@pytest.mark.parametrize(
-    ("parameters", "told"),
-    [
-        ({"w": 80, "h": 45}, "are of images of 80x45 pixels, those of 80x60"),
-        ({"cx": 159.5, "cy": 119.5}, "not those of images of 80x60"),
-    ],
-)
+@pytest.mark.parametrize(("parameters", "told"), [
+    ({"w": 80, "h": 45}, "are of images of 80x45 pixels, those of 80x60"),
+    ({"cx": 159.5, "cy": 119.5}, "not those of images of 80x60"),
+])  # fmt: skip
 def test_intrinsics_of_other_images_are_refused(posed, parameters, told):
     camera = {"fx": 70, "fy": 70, "cx": 39.5, "cy": 29.5, "scale": 1000}
     (posed / "cam_params.json").write_text(json.dumps({**camera, **parameters}))
     with pytest.raises(CalibrationError, match=told):
         open_source(posed)
-
-
-def test_usual_intrinsics_of_a_layout_are_not_of_any_image(tum):
-    (tum / "camera-intrinsics.txt").unlink()
-    for pattern in ("rgb/*", "depth/*"):
-        _resize(tum, pattern, (80, 45))
-    with pytest.raises(CalibrationError, match=r"of 640x480 pixels, those of 80x45.*camera-intrinsics.txt"):
-        open_source(tum)

@@ -19,12 +19,9 @@ def messages(ros):
     found = [scenes.Message(topic="/tf_static", stamp_ns=36 * SECOND, message=m.tf(36 * SECOND))]
     for i in range(600):
         ns = SECOND + i * SECOND // 5
-        found.append(
-            scenes.Message(topic="/odom", stamp_ns=ns, message=m.odometry(ns, "odom", "base", scenes.pose_at(0)))
-        )
-        found.append(
-            scenes.Message(topic="/image", stamp_ns=ns + 1, message=m.compressed(ns, "cam", "jpeg", b"x" * 99))
-        )
+        pose, image = m.odometry(ns, "odom", "base", scenes.pose_at(0)), m.compressed(ns, "cam", "jpeg", b"x" * 99)
+        found += [scenes.Message(topic="/odom", stamp_ns=ns, message=pose)]
+        found += [scenes.Message(topic="/image", stamp_ns=ns + 1, message=image)]
     return sorted(found, key=lambda message: message.stamp_ns)
 
 

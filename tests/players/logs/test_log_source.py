@@ -61,48 +61,30 @@ def _cut_to(size):
     return lambda message: _setting(data=message.message.data[:size])(message)
 
 
-@pytest.mark.parametrize(
-    ("topics", "told"),
-    [
-        ((scenes.PNG_DEPTH,), r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"),
-        ((scenes.PNG_COLOR,), r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"),
-        (("/odom", "/tf_static"), r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"),
-        ((COLOR_INFO, DEPTH_INFO), r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"),
-        (("/tf_static",), r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"),
-    ],
-)
+@pytest.mark.parametrize(("topics", "told"), [
+    ((scenes.PNG_DEPTH,), r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"),
+    ((scenes.PNG_COLOR,), r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"),
+    (("/odom", "/tf_static"), r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"),
+    ((COLOR_INFO, DEPTH_INFO), r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"),
+    (("/tf_static",), r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"),
+])  # fmt: skip
 def test_what_a_log_lacks_is_named_with_the_option(tmp_path, topics, told):
     with pytest.raises(InputError, match=told):
         _open(tmp_path, _without(*topics), SourceOptions(odometry="topic"))
 
 
-@pytest.mark.parametrize(
-    ("topic", "change", "told"),
-    [
-        (COLOR_INFO, _setting(k=np.zeros(9), p=np.zeros(12)), r"/cam/color/camera_info holds no intrinsics \(K = \[0"),
-        (scenes.PNG_DEPTH, _in_frame("depth_optical"), r"depth's frame depth_optical to the colour's cam_optical"),
-        (
-            "/odom",
-            lambda message: _delayed(0, "odom")(replace(message, stamp_ns=message.stamp_ns + 3_600_000 * MS)),
-            r"images from 1700000000\.123 s.*poses of /odom from 1700003600\.",
-        ),
-        (
-            scenes.PNG_DEPTH,
-            _delayed(40_000 * MS, scenes.OPTICAL),
-            r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s",
-        ),
-        (
-            scenes.PNG_DEPTH,
-            _setting(format="32FC1; compressedDepth png"),
-            r"none of the first 6 images.*inverse depth without parameters",
-        ),
-        (
-            COLOR_INFO,
-            lambda message: replace(message, message=M.camera_info(message.stamp_ns, scenes.OPTICAL, WIDE)),
-            r"for 1280x720 and 80x60 pixels; no pair",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("topic", "change", "told"), [
+    (COLOR_INFO, _setting(k=np.zeros(9), p=np.zeros(12)), r"/cam/color/camera_info holds no intrinsics \(K = \[0"),
+    (scenes.PNG_DEPTH, _in_frame("depth_optical"), r"depth's frame depth_optical to the colour's cam_optical"),
+    ("/odom", lambda m: _delayed(0, "odom")(replace(m, stamp_ns=m.stamp_ns + 3_600_000 * MS)),
+     r"images from 1700000000\.123 s.*poses of /odom from 1700003600\."),
+    (scenes.PNG_DEPTH, _delayed(40_000 * MS, scenes.OPTICAL),
+     r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s"),
+    (scenes.PNG_DEPTH, _setting(format="32FC1; compressedDepth png"),
+     r"none of the first 6 images.*inverse depth without parameters"),
+    (COLOR_INFO, lambda m: replace(m, message=M.camera_info(m.stamp_ns, scenes.OPTICAL, WIDE)),
+     r"for 1280x720 and 80x60 pixels; no pair"),
+])  # fmt: skip
 def test_topics_that_do_not_fit_together_are_refused(tmp_path, topic, change, told):
     with pytest.raises(InputError, match=told):
         _open(tmp_path, _changed(topic, change))
@@ -111,17 +93,17 @@ def test_topics_that_do_not_fit_together_are_refused(tmp_path, topic, change, to
 def test_depth_in_the_colour_frame_needs_no_calibration(tmp_path):
     source = _open(tmp_path, _without(DEPTH_INFO))
     assert len(list(source.frames())) == len(TRUTH)
-    assert dict(source.info.streams)["depth_info"] == COLOR_INFO
+    streams = dict(source.info.streams)
+    assert (streams["depth_info"], streams["frames"]) == (COLOR_INFO, "odom <- base_link <- cam_link <- cam_optical")
 
 
-def test_a_missing_topic_is_refused_with_the_existing_ones(tmp_path):
-    with pytest.raises(RecordingError, match=r"no topic /left for --color-topic; it has: /cam/aligned"):
-        _open(tmp_path, LOG, SourceOptions(color_topic="/left"))
-
-
-def test_a_log_without_messages_is_told(tmp_path):
-    with pytest.raises(RecordingError, match=r"\(MCAP\) holds no messages"):
-        _open(tmp_path, [])
+@pytest.mark.parametrize(("messages", "options", "told"), [
+    (LOG, SourceOptions(color_topic="/left"), r"no topic /left for --color-topic; it has: /cam/aligned"),
+    ([], None, r"\(MCAP\) holds no messages"),
+])  # fmt: skip
+def test_a_missing_topic_and_an_empty_log_are_refused(tmp_path, messages, options, told):
+    with pytest.raises(RecordingError, match=told):
+        _open(tmp_path, messages, options)
 
 
 @pytest.mark.parametrize(
@@ -132,32 +114,49 @@ def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path, topic, encod
         _open(tmp_path, _changed(topic, _setting(encoding=encoding), RAW_LOG))
 
 
-@pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
-@pytest.mark.parametrize("size", [0, 60])
-def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, size):
-    source = _open(tmp_path, _changed(topic, _only(2, _cut_to(size))))
+@pytest.mark.parametrize(("topic", "index", "size"), [
+    *((topic, 2, size) for topic in (scenes.PNG_COLOR, scenes.PNG_DEPTH) for size in (0, 60)),
+    (scenes.PNG_COLOR, 0, 0),
+])  # fmt: skip
+def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, index, size):
+    source = _open(tmp_path, _changed(topic, _only(index, _cut_to(size))))
     frames = list(source.frames())
     assert len(frames) == len(TRUTH)
     with pytest.raises(RecordingError, match=topic):
-        frames[2].decode()
+        frames[index].decode()
     frames[3].decode()
     assert source.ledger() == {"frames": len(TRUTH), "unreadable_image": 1}
 
 
-def test_a_first_image_without_bytes_does_not_stop_the_log(tmp_path):
-    assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, _cut_to(0)))).frames())) == len(TRUTH)
+def _spoilt(message):
+    """Return an odometry without a place."""
+    pose = M.pose(np.eye(4))
+    nan = replace(pose, position=replace(pose.position, x=float("nan")))
+    return _setting(pose=replace(message.message.pose, pose=nan))(message)
 
 
-def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
+def _shrunk(message):
     small = scenes.png_bytes(np.zeros((30, 40, 3), dtype=np.uint8))
+    return replace(message, message=M.compressed(message.stamp_ns, scenes.OPTICAL, "png", small))
 
-    def shrink(message):
-        return replace(message, message=M.compressed(message.stamp_ns, scenes.OPTICAL, "png", small))
 
-    source = _open(tmp_path, _changed(scenes.PNG_COLOR, _only(2, shrink)))
-    stamps = [frame.stamp_ns for frame in source.frames()]
-    assert stamps == [frame.stamp_ns for i, frame in enumerate(TRUTH) if i != 2]
-    assert source.ledger() == {"frames": len(TRUTH) - 1, "frame_of_other_size": 1}
+FIRST_POSE = next(message for message in LOG if message.topic == "/odom")
+GAP_NS = (TRUTH[2].stamp_ns - 50 * MS, TRUTH[3].stamp_ns + 50 * MS)
+LONELY = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))
+
+
+@pytest.mark.parametrize(("messages", "missing", "fates"), [
+    (_changed(scenes.PNG_COLOR, _only(2, _shrunk)), (2,), {"frame_of_other_size": 1}),
+    (_changed("/odom", lambda m: _spoilt(m) if m is FIRST_POSE else m), (), {"bad_pose": 1}),
+    (_changed("/odom", lambda m: None if GAP_NS[0] < m.stamp_ns < GAP_NS[1] else m), (2, 3), {"no_pose": 2}),
+    (_changed(scenes.PNG_COLOR, _only(3, lambda message: None), LONELY), (1, 3),
+     {"color_without_depth": 1, "depth_without_color": 1}),
+], ids=["size", "pose", "gap", "partner"])  # fmt: skip
+def test_what_cannot_be_a_frame_is_counted_and_the_rest_played(tmp_path, messages, missing, fates):
+    source = _open(tmp_path, messages, SourceOptions(max_pose_gap_ns=100 * MS))
+    played = [frame.stamp_ns for frame in source.frames()]
+    assert played == [frame.stamp_ns for i, frame in enumerate(TRUTH) if i not in missing]
+    assert source.ledger() == {"frames": len(played), **fates}
 
 
 def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
@@ -174,7 +173,7 @@ def test_a_calibration_of_the_sensor_is_fitted_to_the_images(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(40, 30), (160, 120)])
-def test_depth_of_another_size_without_a_calibration_has_colour_s(tmp_path, size):
+def test_depth_of_another_size_uncalibrated_has_colour_s(tmp_path, size):
     def resize(message):
         i = (message.stamp_ns - scenes.START_NS) // scenes.PERIOD_NS
         depth_mm = cv2.resize(TRUTH[i].depth_mm, size, interpolation=cv2.INTER_NEAREST)
@@ -235,58 +234,23 @@ def test_a_flipped_byte_costs_the_frames_of_its_chunk_only(tmp_path):
         np.testing.assert_array_equal(frame.decode().rgb, truth.rgb)
 
 
-def test_a_pose_that_is_none_is_left_out_and_counted(tmp_path):
-    def spoil(message):
-        pose = M.pose(np.eye(4))
-        nan = replace(pose, position=replace(pose.position, x=float("nan")))
-        covered = replace(message.message.pose, pose=nan)
-        return replace(message, message=replace(message.message, pose=covered))
-
-    first = next(message for message in LOG if message.topic == "/odom")
-    source = _open(tmp_path, _changed("/odom", lambda m: spoil(m) if m is first else m))
-    list(source.frames())
-    assert source.ledger()["bad_pose"] == 1
-
-
-def test_images_in_a_gap_of_the_poses_are_counted_and_skipped(tmp_path):
-    start, end = TRUTH[2].stamp_ns - 50 * MS, TRUTH[3].stamp_ns + 50 * MS
-    gap = _changed("/odom", lambda m: None if start < m.stamp_ns < end else m)
-    source = _open(tmp_path, gap, SourceOptions(max_pose_gap_ns=100 * MS))
-    assert len(list(source.frames())) == len(TRUTH) - 2
-    assert source.ledger() == {"frames": len(TRUTH) - 2, "no_pose": 2}
-
-
 def test_a_pose_without_a_child_frame_needs_one_named(tmp_path):
-    poses = [
-        scenes.Message(
-            topic="/slam_pose", stamp_ns=s.stamp_ns, message=M.pose_stamped(s.stamp_ns, "map", s.world_from_camera)
-        )
-        for s in TRUTH
-    ]
-    with pytest.raises(
-        CalibrationError, match=r"/slam_pose .* does not say .*--pose-frame \(the camera's is cam_optical"
-    ):
+    stamped = {s.stamp_ns: M.pose_stamped(s.stamp_ns, "map", s.world_from_camera) for s in TRUTH}
+    poses = [scenes.Message(topic="/slam_pose", stamp_ns=ns, message=message) for ns, message in stamped.items()]
+    told = r"/slam_pose .* does not say .*--pose-frame \(the camera's is cam_optical"
+    with pytest.raises(CalibrationError, match=told):
         _open(tmp_path, _without("/odom") + poses)
     source = _open(tmp_path, _without("/odom") + poses, SourceOptions(pose_frame=scenes.OPTICAL))
     for raw, truth in zip(source.frames(), TRUTH, strict=True):
         np.testing.assert_allclose(raw.world_from_camera, truth.world_from_camera, atol=1e-9)
 
 
-def test_the_odometry_that_carries_the_camera_is_preferred(tmp_path):
-    stray = [
-        scenes.Message(topic="/a_odom", stamp_ns=s, message=M.odometry(s, "odom", "trailer", np.eye(4)))
-        for s in range(TRUTH[0].stamp_ns, TRUTH[-1].stamp_ns, 5 * MS)
-    ]
-    assert dict(_open(tmp_path, LOG + stray).info.streams)["pose"] == "/odom"
-
-
-def test_static_transforms_repeated_on_tf_are_static(tmp_path):
+def test_static_links_on_tf_and_messages_out_of_order_play(tmp_path):
     log = _changed("/tf_static", lambda message: replace(message, topic="/tf"))
     assert len(list(_open(tmp_path, log).frames())) == len(TRUTH)
-
-
-def test_the_chain_from_the_world_to_the_camera_is_told(tmp_path):
-    assert dict(_open(tmp_path, LOG).info.streams)["frames"] == "odom <- base_link <- cam_link <- cam_optical"
+    pairs = zip(LOG[1::2], LOG[::2], strict=False)
+    log = scenes.write_mcap(tmp_path / "log.mcap", M, [message for pair in pairs for message in pair])
+    assert [frame.stamp_ns for frame in open_source(log).frames()] == [frame.stamp_ns for frame in TRUTH]
 
 
 COLOR_CAMERA = Camera(width=160, height=120, fx=130.0, fy=131.0, cx=80.0, cy=58.0)
@@ -299,34 +263,19 @@ def _unregistered():
 
     def images(m, frame):
         stamp_ns = frame.stamp_ns
-        rgb = scenes.cast(COLOR_CAMERA, frame.world_from_camera)[0]
+        bgr = scenes.cast(COLOR_CAMERA, frame.world_from_camera)[0][..., ::-1]
         depth = scenes.cast(DEPTH_CAMERA, frame.world_from_camera @ COLOR_FROM_DEPTH)[1]
         depth_mm = np.round(np.where(depth < 6, depth, 0) * 1000).astype(np.uint16)
-        color = m.compressed(stamp_ns, "color_optical", "jpeg", scenes.jpeg_bytes(rgb[..., ::-1]))
-        return [
-            scenes.Message(topic="/fwd/color/image_raw/compressed", stamp_ns=stamp_ns, message=color),
-            scenes.Message(
-                topic="/fwd/depth/image_rect_raw",
-                stamp_ns=stamp_ns,
-                message=m.image(stamp_ns + 3 * MS, "depth_optical", "16UC1", depth_mm),
-            ),
-            scenes.Message(
-                topic="/fwd/color/camera_info",
-                stamp_ns=stamp_ns,
-                message=m.camera_info(stamp_ns, "color_optical", COLOR_CAMERA),
-            ),
-            scenes.Message(
-                topic="/fwd/depth/camera_info",
-                stamp_ns=stamp_ns,
-                message=m.camera_info(stamp_ns, "depth_optical", DEPTH_CAMERA),
-            ),
-        ]
+        messages = {
+            "color/image_raw/compressed": m.compressed(stamp_ns, "color_optical", "jpeg", scenes.jpeg_bytes(bgr)),
+            "depth/image_rect_raw": m.image(stamp_ns + 3 * MS, "depth_optical", "16UC1", depth_mm),
+            "color/camera_info": m.camera_info(stamp_ns, "color_optical", COLOR_CAMERA),
+            "depth/camera_info": m.camera_info(stamp_ns, "depth_optical", DEPTH_CAMERA),
+        }
+        return [scenes.Message(topic=f"/fwd/{name}", stamp_ns=stamp_ns, message=it) for name, it in messages.items()]
 
-    statics = M.tf(
-        0,
-        ("base_link", "color_optical", scenes.BODY_FROM_CAMERA),
-        ("base_link", "depth_optical", scenes.BODY_FROM_CAMERA @ COLOR_FROM_DEPTH),
-    )
+    places = {"color_optical": scenes.BODY_FROM_CAMERA, "depth_optical": scenes.BODY_FROM_CAMERA @ COLOR_FROM_DEPTH}
+    statics = M.tf(0, *(("base_link", name, place) for name, place in places.items()))
     rest = [m for m in scenes.scene_messages(M, TRUTH, images) if not m.topic.startswith(("/cam", "/tf_static"))]
     return [scenes.Message(topic="/tf_static", stamp_ns=scenes.START_NS - 200 * MS, message=statics), *rest]
 
@@ -367,20 +316,6 @@ def test_a_distorted_image_is_rectified_to_a_pinhole(tmp_path):
     assert np.median(np.abs(np.asarray(distorted)[middle].astype(int) - rgb[middle])) > np.median(error)
 
 
-def test_messages_may_be_recorded_a_little_out_of_order(tmp_path):
-    log = tmp_path / "log.mcap"
-    scenes.write_mcap(log, M, [message for pair in zip(LOG[1::2], LOG[::2], strict=False) for message in pair])
-    assert [frame.stamp_ns for frame in open_source(log).frames()] == [frame.stamp_ns for frame in TRUTH]
-
-
-def test_images_without_partners_are_counted(tmp_path):
-    log = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))
-    log = [m for m in log if not (m.topic == scenes.PNG_COLOR and m.stamp_ns == TRUTH[3].stamp_ns)]
-    source = _open(tmp_path, log)
-    assert len(list(source.frames())) == len(TRUTH) - 2
-    assert source.ledger() == {"frames": len(TRUTH) - 2, "color_without_depth": 1, "depth_without_color": 1}
-
-
 def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
     from mcap.writer import Writer
 
@@ -391,30 +326,28 @@ def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
         strange = writer.register_schema("unitree_go/msg/LowState", "ros2msg", b"not ( a definition")
         channel = writer.register_channel("/lowstate", "cdr", strange)
         writer.add_message(channel, scenes.START_NS, b"\x00\x01\x02", scenes.START_NS)
-        ids = {}
-        for entry in LOG:
-            name = entry.message.__msgtype__
-            if entry.topic not in ids:
-                definition = M.store.generate_msgdef(name, ros_version=2)[0].encode()
-                ids[entry.topic] = writer.register_channel(
-                    entry.topic, "cdr", writer.register_schema(name, "ros2msg", definition)
-                )
-            data = bytes(M.store.serialize_cdr(entry.message, name))
-            writer.add_message(ids[entry.topic], entry.stamp_ns, data, entry.stamp_ns)
         writer.finish()
-    assert len(list(open_source(log).frames())) == len(TRUTH)
+    known = scenes.write_mcap(tmp_path / "known.mcap", M, LOG)
+    assert len(list(open_source([known, log]).frames())) == len(TRUTH)
 
 
-def test_the_camera_of_the_colour_is_whose_depth_is_taken(tmp_path):
-    back = [replace(m, topic=m.topic.replace("/cam/", "/back/")) for m in LOG if m.topic.startswith("/cam/")]
-    streams = dict(_open(tmp_path, LOG + back, SourceOptions(color_topic=scenes.PNG_COLOR)).info.streams)
-    assert streams["depth"] == scenes.PNG_DEPTH
+STRAY = [
+    scenes.Message(topic="/a_odom", stamp_ns=s, message=M.odometry(s, "odom", "trailer", np.eye(4)))
+    for s in range(TRUTH[0].stamp_ns, TRUTH[-1].stamp_ns, 5 * MS)
+]
+BACK = [replace(m, topic=m.topic.replace("/cam/", "/back/")) for m in LOG if m.topic.startswith("/cam/")]
+ELSEWHERE = _changed(
+    DEPTH_INFO, lambda m: None, _changed(COLOR_INFO, lambda message: replace(message, topic="/calibration"))
+)
 
 
-def test_a_calibration_elsewhere_is_found_by_its_frame(tmp_path):
-    log = _changed(COLOR_INFO, lambda message: replace(message, topic="/calibration"))
-    log = _changed(DEPTH_INFO, lambda message: None, log)
-    assert dict(_open(tmp_path, log).info.streams)["color_info"] == "/calibration"
+@pytest.mark.parametrize(("messages", "options", "role", "topic"), [
+    (LOG + STRAY, None, "pose", "/odom"),
+    (LOG + BACK, SourceOptions(color_topic=scenes.PNG_COLOR), "depth", scenes.PNG_DEPTH),
+    (ELSEWHERE, None, "color_info", "/calibration"),
+], ids=["odometry that carries the camera", "depth of the same camera", "calibration by its frame"])  # fmt: skip
+def test_of_several_topics_the_one_that_fits_is_taken(tmp_path, messages, options, role, topic):
+    assert dict(_open(tmp_path, messages, options).info.streams)[role] == topic
 
 
 def test_depth_of_half_size_is_scaled_to_the_colour_frame(tmp_path):

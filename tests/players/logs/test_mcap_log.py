@@ -11,9 +11,8 @@ M = scenes.Messages(ros=2)
 def _large(path, **settings):
     """Write 8 MB of noise in 40 images."""
     noise = np.random.default_rng(0).integers(0, 255, 200_000, dtype=np.uint8).tobytes()
-    images = [
-        scenes.Message(topic="/image", stamp_ns=i, message=M.compressed(i, "camera", "jpeg", noise)) for i in range(40)
-    ]
+    image = M.compressed(0, "camera", "jpeg", noise)
+    images = [scenes.Message(topic="/image", stamp_ns=i, message=image) for i in range(40)]
     return McapLog(scenes.write_mcap(path / "log.mcap", M, images, chunk_size=300_000, **settings))
 
 

@@ -69,9 +69,8 @@ def _dds_type(name):
 
 def test_names_and_types_of_dds_are_those_of_ros(tmp_path, sound):
     idl = "module sensor_msgs { module msg { module dds_ { struct Any_ { long x; }; }; }; };"
-    log = _write(
-        tmp_path / "log.mcap", topic="rt{}".format, type_name=_dds_type, encoding="omgidl", definition=lambda _: idl
-    )
+    names = {"topic": "rt{}".format, "type_name": _dds_type}
+    log = _write(tmp_path / "log.mcap", encoding="omgidl", definition=lambda _: idl, **names)
     assert _frames(log) == sound
     assert open_source(log, SourceOptions(color_topic=f"rt{scenes.PNG_COLOR}")).info.num_frames == 12
 

@@ -59,9 +59,28 @@ def test_the_poses_are_those_of_the_cameras_own_robot(tmp_path, log, own, other,
     assert _is_right(_source(tmp_path, _of_robots(log, own, other, own, late_ms * MS)))
 
 
-def test_odometry_of_two_robots_without_tf_of_their_own(tmp_path):
-    log = [m for m in _of_robots(BY_ODOMETRY, "/r1", "/r2", "/r1") if "tf_static" not in m.topic]
-    assert _is_right(_source(tmp_path, [BY_TF[0], *log]))
+def _moved(log, *moves):
+    return [replace(m, topic=dict(moves).get(m.topic, m.topic)) for m in log]
+
+
+def _one_robot():
+    wheels = [replace(m, topic="/wheel/odom") for m in BY_ODOMETRY if m.topic == "/odom"]
+    spot = _moved([replace(m, topic=f"/spot{m.topic}") for m in BY_TF], ("/spot/tf_static", "/spot/arm/tf_static"))
+    arm = [_link("base_link", "arm", AHEAD, m.stamp_ns, "/spot/arm/tf") for m in BY_TF if m.topic == "/tf"]
+    unlinked = [m for m in _of_robots(BY_ODOMETRY, "/r1", "/r2", "/r1") if "tf_static" not in m.topic]
+    return {
+        "two odometries": _with(_moved(BY_ODOMETRY, ("/odom", "/vio/odom")), *wheels),
+        "a part": _with(spot, *arm),
+        "the only tf": _moved(BY_TF, ("/tf", "/husky/tf")),
+        "no tf of their own": [BY_TF[0], *unlinked],
+    }
+
+
+@pytest.mark.parametrize("name", ["two odometries", "a part", "the only tf", "no tf of their own"])
+def test_a_log_with_one_robot_of_the_camera_needs_no_choice(tmp_path, name):
+    source = _source(tmp_path, _one_robot()[name])
+    assert name != "two odometries" or dict(source.info.streams)["pose"] == "/vio/odom"
+    assert _is_right(source)
 
 
 @pytest.mark.parametrize("log", [BY_TF, BY_ODOMETRY], ids=["tf", "odometry"])
@@ -69,28 +88,7 @@ def test_a_camera_of_no_robot_asks_for_its_robot(tmp_path, log):
     messages = _of_robots(log, "/zulu", "/alpha", "")
     with pytest.raises(CalibrationError, match=r"(/zulu|/alpha)/(tf|odom) and .*robots.*--pose-topic"):
         _source(tmp_path, messages)
-    topic = "/zulu/tf" if log is BY_TF else "/zulu/odom"
-    assert _is_right(_source(tmp_path, messages, pose_topic=topic))
-
-
-def test_two_odometries_of_one_robot_need_no_choice(tmp_path):
-    wheels = [replace(m, topic="/wheel/odom") for m in BY_ODOMETRY if m.topic == "/odom"]
-    messages = [replace(m, topic="/vio/odom") if m.topic == "/odom" else m for m in BY_ODOMETRY]
-    source = _source(tmp_path, sorted([*messages, *wheels], key=lambda m: m.stamp_ns))
-    assert dict(source.info.streams)["pose"] == "/vio/odom"
-    assert _is_right(source)
-
-
-def test_a_part_of_the_camera_s_robot_is_no_other_robot(tmp_path):
-    messages = [replace(m, topic=f"/spot{m.topic}") for m in BY_TF]
-    messages = [replace(m, topic="/spot/arm/tf_static") if m.topic == "/spot/tf_static" else m for m in messages]
-    arm = [_link("base_link", "arm", AHEAD, m.stamp_ns, "/spot/arm/tf") for m in BY_TF if m.topic == "/tf"]
-    assert _is_right(_source(tmp_path, _with(messages, *arm)))
-
-
-def test_the_only_tf_is_used_wherever_it_is(tmp_path):
-    messages = [replace(m, topic="/husky/tf") if m.topic == "/tf" else m for m in BY_TF]
-    assert _is_right(_source(tmp_path, messages))
+    assert _is_right(_source(tmp_path, messages, pose_topic="/zulu/tf" if log is BY_TF else "/zulu/odom"))
 
 
 def _link(parent, child, at, stamp_ns=scenes.START_NS, topic="/tf_static"):
@@ -128,14 +126,11 @@ def test_a_link_of_depth_published_again_is_used_from_then_on(tmp_path):
         return _link(scenes.OPTICAL, "depth", from_rotation_translation(np.eye(3), np.array([x, 0, 0])), stamp_ns)
 
     log = [
-        replace(m, message=replace(m.message, header=M.header(m.message.header.stamp.sec * S, "depth")))
-        if m.topic == "/cam/aligned_depth/camera_info"
+        replace(m, message=replace(m.message, header=M.header(m.stamp_ns, "depth")))
+        if m.topic in ("/cam/aligned_depth/camera_info", scenes.PNG_DEPTH)
         else m
         for m in BY_TF
     ]
-    for i, m in enumerate(log):
-        if m.topic == scenes.PNG_DEPTH:
-            log[i] = replace(m, message=replace(m.message, header=M.header(m.stamp_ns, "depth")))
     source = _source(tmp_path, _with(log, link(0.1, BY_TF[0].stamp_ns), link(0.0, TRUTH[20].stamp_ns)))
     frames = [frame.decode() for frame in source.frames()]
     same = [np.array_equal(f.depth_m, true.depth_m, equal_nan=True) for f, true in zip(frames, TRUTH, strict=True)]
@@ -162,44 +157,41 @@ def _changed(log, topic, change):
 
     def changed(message):
         first, *rest = message.transforms
-        rotation = change(first.transform.rotation)
-        return replace(
-            message, transforms=[replace(first, transform=replace(first.transform, rotation=rotation)), *rest]
-        )
+        turned = replace(first.transform, rotation=change(first.transform.rotation))
+        return replace(message, transforms=[replace(first, transform=turned), *rest])
 
     return [replace(m, message=changed(m.message)) if m.topic == topic else m for m in log]
 
 
-def test_a_quaternion_of_another_length_is_named(tmp_path):
-    source = _source(tmp_path, _changed(BY_TF, "/tf", _scaled(0.5)))
+LOOPS = [_link("base_link", "base_link", AHEAD, m.stamp_ns + 1, "/tf") for m in BY_TF if m.topic == "/tf"]
+
+
+@pytest.mark.parametrize(("messages", "said"), [
+    (_changed(BY_TF, "/tf", _scaled(0.5)), "/tf: base_link in odom has quaternions of another length than 1"),
+    (_with(BY_TF, *LOOPS), "/tf: base_link in base_link is left out"),
+], ids=["length", "own parent"])  # fmt: skip
+def test_a_transform_that_is_odd_is_named(tmp_path, messages, said):
+    source = _source(tmp_path, messages)
     assert _is_right(source)
-    assert "/tf: base_link in odom has quaternions of another length than 1" in next(iter(source.findings()))
+    assert said in next(iter(source.findings()))
 
 
 def test_a_quaternion_of_zero_is_named_with_its_link(tmp_path):
-    with pytest.raises(
-        CalibrationError, match=r"/tf_static: cam_link in base_link is left out .* quaternion of length 0"
-    ):
+    told = r"/tf_static: cam_link in base_link is left out .* quaternion of length 0"
+    with pytest.raises(CalibrationError, match=told):
         _source(tmp_path, _changed(BY_ODOMETRY, "/tf_static", _scaled(0.0)))
-
-
-def test_a_frame_that_is_its_own_parent_is_left_out(tmp_path):
-    loops = [_link("base_link", "base_link", AHEAD, m.stamp_ns + 1, "/tf") for m in BY_TF if m.topic == "/tf"]
-    source = _source(tmp_path, _with(BY_TF, *loops))
-    assert _is_right(source)
-    assert "/tf: base_link in base_link is left out" in next(iter(source.findings()))
 
 
 @pytest.mark.parametrize("frame", ["odom", "world", "/odom"])
 def test_odometry_whose_child_is_its_parent_is_left_out_for_tf(tmp_path, frame):
-    odometry = [m for m in BY_ODOMETRY if m.topic == "/odom"]
+    name = frame.strip("/")
     odometry = [
-        replace(m, message=M.odometry(m.stamp_ns, frame, frame.strip("/"), scenes.pose_at(m.stamp_ns)))
-        for m in odometry
+        replace(m, message=M.odometry(m.stamp_ns, frame, name, scenes.pose_at(m.stamp_ns)))
+        for m in BY_ODOMETRY
+        if m.topic == "/odom"
     ]
     source = _source(tmp_path, _with(BY_TF, *odometry))
     assert _is_right(source)
-    name = frame.strip("/")
     assert list(source.findings()) == [
         f"/odom is left out: its child frame {name} is its parent, so that its body is not known; name that with "
         "--pose-frame"
@@ -282,16 +274,12 @@ def test_a_clock_set_back_in_the_middle_keeps_every_pose(tmp_path):
     assert "the robot's clock was set back by 0.40 s" in next(iter(source.account().findings))
 
 
-def test_poses_stamped_half_a_second_early_are_noted(tmp_path):
+def test_poses_stamped_early_are_noted_or_name_the_clock(tmp_path):
     scenes.write_mcap(tmp_path / "log.mcap", M, _sim_time(BY_ODOMETRY, ("/odom",), scenes.START_NS - 500 * MS))
     notes = examine([tmp_path / "log.mcap"], SourceOptions()).notes
     assert any(note.startswith("/odom: by log time its stamps are 0.5 s behind the images'") for note in notes)
-
-
-def test_poses_that_end_before_the_images_name_the_clock(tmp_path):
     messages = _sim_time(BY_ODOMETRY, ("/odom",), scenes.START_NS - 9 * S)
-    with pytest.raises(
-        Exception, match=r"no image has a pose.*by log time its stamps are 9\.0 s behind the images'.*--clock log"
-    ):
+    told = r"no image has a pose.*by log time its stamps are 9\.0 s behind the images'.*--clock log"
+    with pytest.raises(Exception, match=told):
         _source(tmp_path, messages)
     assert _is_right(_source(tmp_path, messages, clock="log"))

@@ -68,18 +68,17 @@ def test_colour_and_depth_are_treated_alike(colors, depths, tolerance):
     assert there == [(c, d) for d, c in _pairs(_images(depths, colors), tolerance)]
 
 
-def test_thirty_colour_images_with_ten_of_depth_make_ten_pairs():
+def test_nearest_images_are_paired_and_of_equals_the_earlier():
     colors = [i * 33 * MS for i in range(30)]
     depths = [i * 99 * MS + 5 * MS for i in range(10)]
     assert _pairs(_images(colors, depths), 50 * MS) == [(i * 99 * MS, i * 99 * MS + 5 * MS) for i in range(10)]
-
-
-def test_of_two_equally_near_the_earlier_wins():
     assert _pairs(_images([0, 40 * MS], [20 * MS]), 50 * MS) == [(0, 20 * MS)]
+    assert default_tolerance_ns([0, 33, 66, 99], [0, 100, 200, 300]) == 50
+    assert default_tolerance_ns([0, 100, 200, 9000, 9100], [0, 100, 200]) == 50
 
 
 def test_a_silent_stream_does_not_make_the_other_pile_up():
-    held = set()
+    held, most = set(), 0
 
     def images():
         yield Stamped("depth", 0, 0)
@@ -87,7 +86,6 @@ def test_a_silent_stream_does_not_make_the_other_pile_up():
             held.add(i)
             yield Stamped("color", i * 33 * MS, i)
 
-    most = 0
     for match in pair_nearest(images(), 15 * MS):
         if isinstance(match, Leftover):
             held.discard(match.item)
@@ -102,27 +100,20 @@ def test_an_image_after_its_neighbours_were_decided_is_late():
     assert sum(isinstance(match, Pair) for match in matches) == 20
 
 
-def test_the_default_tolerance_is_half_the_slower_period():
-    assert default_tolerance_ns([0, 33, 66, 99], [0, 100, 200, 300]) == 50
-    assert default_tolerance_ns([0, 100, 200, 9000, 9100], [0, 100, 200]) == 50
-
-
 def test_live_images_of_one_stamp_are_paired_at_once():
     def image(stream, at_ms):
         return Stamped(stream, at_ms * 1_000_000, f"{stream}{at_ms}")
 
     def come(*sent):
         """Return what has been decided after each image."""
-        decided = []
-        seen = []
+        decided, seen = [], []
 
         def feed():
             for item in sent:
                 seen.append(len(decided))
                 yield item
 
-        for match in pair_arriving(feed(), 16_000_000, is_live=True):
-            decided += [match]
+        decided.extend(pair_arriving(feed(), 16_000_000, is_live=True))
         return [*seen, decided]
 
     *seen, decided = come(*[image(stream, at) for at in (0, 33, 66) for stream in ("color", "depth")], None)

@@ -1,3 +1,4 @@
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from players.logs.timeline import BACKWARDS_NS, FORWARD_NS, Order, Timeline
@@ -14,38 +15,21 @@ def _placed(stamps_s):
     return _placed_ns(round(s * S) for s in stamps_s)
 
 
-def _orders(stamps_s):
-    return {p.item: p.order for p in _placed(stamps_s)}
+DUE, LATE, TWICE, OFF = Order.IN_ORDER, Order.LATE, Order.DUPLICATE, Order.OFF
 
 
-def test_stamps_in_order_are_in_one_epoch():
-    placed = _placed([10, 10.1, 10.2])
-    assert [(p.item, p.epoch, p.order, p.jump_ns) for p in placed] == [(i, 0, Order.IN_ORDER, 0) for i in range(3)]
-
-
-def test_a_late_message_and_a_double_are_told_apart():
-    orders = _orders([10, 10.2, 10.1, 10.2, 10.3])
-    assert orders == {0: Order.IN_ORDER, 1: Order.IN_ORDER, 2: Order.LATE, 3: Order.DUPLICATE, 4: Order.IN_ORDER}
-
-
-def test_one_wrong_stamp_is_off_and_no_jump():
-    for wrong in (0.0, 99999.0):
-        placed = _placed([100, 100.1, wrong, 100.2, 100.3])
-        assert {p.item: p.order for p in placed}[2] is Order.OFF
-        assert {p.epoch for p in placed} == {0}
-        assert not any(p.jump_ns for p in placed)
-
-
-def test_a_looped_log_begins_another_epoch():
-    placed = _placed([100, 100.1, 100.2, 50, 50.1, 50.2])
-    assert [p.epoch for p in placed] == [0, 0, 0, 1, 1, 1]
-    assert placed[3].jump_ns == round(-50.2 * S)
-    assert all(p.order is Order.IN_ORDER for p in placed)
-
-
-def test_a_pause_is_a_jump_forward_in_the_same_epoch():
-    placed = _placed([100, 100.1, 200, 200.1])
-    assert [(p.epoch, p.jump_ns > 0) for p in placed] == [(0, False), (0, False), (0, True), (0, False)]
+@pytest.mark.parametrize(("stamps_s", "orders", "epochs", "jumps_s"), [
+    ([10, 10.1, 10.2], [DUE] * 3, [0] * 3, {}),
+    ([10, 10.2, 10.1, 10.2, 10.3], [DUE, DUE, LATE, TWICE, DUE], [0] * 5, {}),
+    ([100, 100.1, 0.0, 100.2, 100.3], [DUE, DUE, OFF, DUE, DUE], [0] * 5, {}),
+    ([100, 100.1, 99999.0, 100.2, 100.3], [DUE, DUE, OFF, DUE, DUE], [0] * 5, {}),
+    ([100, 100.1, 100.2, 50, 50.1, 50.2], [DUE] * 6, [0, 0, 0, 1, 1, 1], {3: -50.2}),
+    ([100, 100.1, 200, 200.1], [DUE] * 4, [0] * 4, {2: 99.9}),
+], ids="in-order late-and-double zero far looped pause".split())  # fmt: skip
+def test_stamps_are_ordered_off_or_begin_another_epoch(stamps_s, orders, epochs, jumps_s):
+    placed = sorted(_placed(stamps_s), key=lambda p: p.item)
+    assert [(p.order, p.epoch) for p in placed] == list(zip(orders, epochs, strict=True))
+    assert {p.item: p.jump_ns / S for p in placed if p.jump_ns} == pytest.approx(jumps_s)
 
 
 def test_a_stream_slower_than_a_jump_is_played():

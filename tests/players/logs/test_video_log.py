@@ -15,16 +15,12 @@ from tests import player_scenes as scenes
 M = scenes.Messages(ros=2)
 FRAMES = scenes.make_scene(num_frames=12)
 VIDEO, FFMPEG = "foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
-M.store.register(
-    get_types_from_msg("builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format", VIDEO)
-)
-M.store.register(
-    get_types_from_msg(
-        "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
-        "bool is_bigendian\nuint8[] data",
-        FFMPEG,
-    )
-)
+for name, fields in {
+    VIDEO: "builtin_interfaces/Time timestamp,string frame_id,uint8[] data,string format",
+    FFMPEG: "std_msgs/Header header,int32 width,int32 height,string encoding,uint64 pts,uint8 flags,"
+    "bool is_bigendian,uint8[] data",
+}.items():
+    M.store.register(get_types_from_msg(fields.replace(",", "\n"), name))
 
 
 def _coded(images, codec, pixels, **options):
@@ -48,15 +44,17 @@ def _coded(images, codec, pixels, **options):
 
 
 LIVE = {"tune": "zerolatency", "crf": "4"}
-CODED = {
-    "h264": lambda images: _coded(images, "libx264", "yuv420p", **LIVE),
-    "h264 with delayed pictures": lambda images: _coded(images, "libx264", "yuv420p", bf="2", crf="4"),
-    "h265": lambda images: _coded(images, "libx265", "yuv420p", **LIVE, **{"x265-params": "log-level=none"}),
-    "av1": lambda images: _coded(images, "libsvtav1", "yuv420p", crf="10", preset="10"),
-    "vp9": lambda images: _coded(
-        images, "libvpx-vp9", "yuv420p", crf="4", deadline="realtime", **{"lag-in-frames": "0"}
-    ),
-}
+CODECS = {
+    "h264": ("libx264", LIVE), "h264 with delayed pictures": ("libx264", {"bf": "2", "crf": "4"}),
+    "h265": ("libx265", {**LIVE, "x265-params": "log-level=none"}),
+    "av1": ("libsvtav1", {"crf": "10", "preset": "10"}),
+    "vp9": ("libvpx-vp9", {"crf": "4", "deadline": "realtime", "lag-in-frames": "0"}),
+}  # fmt: skip
+
+
+def _packets(name):
+    codec, options = CODECS[name]
+    return _coded([frame.rgb for frame in FRAMES], codec, "yuv420p", **options)
 
 
 def _stamp(stamp_ns):
@@ -94,10 +92,10 @@ def _error(log):
     return [float(np.abs(f.rgb.astype(int) - truth[f.stamp_ns].rgb).mean()) for f in frames]
 
 
-@pytest.mark.parametrize("name", CODED)
+@pytest.mark.parametrize("name", CODECS)
 @pytest.mark.parametrize("make", [_compressed_image, _compressed_video, _packet])
 def test_video_is_the_colour_of_its_frames(tmp_path, name, make):
-    log = _log(tmp_path, make, CODED[name]([frame.rgb for frame in FRAMES]), name.split()[0])
+    log = _log(tmp_path, make, _packets(name), name.split()[0])
     errors = _error(log)
     # Consecutive frames differ by more.
     assert len(errors) == len(FRAMES)
@@ -118,15 +116,12 @@ def test_packets_before_the_first_key_frame_are_losses(tmp_path):
     assert "4 of 10 packets" in found.damage[0]["what"]
 
 
-@pytest.mark.parametrize(
-    ("codec", "pixels", "options", "per_mm"),
-    [
-        ("libx265", "gray12le", {"tune": "zerolatency", "x265-params": "lossless=1:log-level=none"}, 1),
-        ("libx264", "gray10le", {"tune": "zerolatency", "qp": "0"}, 8),
-        ("ffv1", "gray16le", {"level": "1"}, 1),
-        ("ffv1", "gray10le", {"level": "1"}, 8),
-    ],
-)
+@pytest.mark.parametrize(("codec", "pixels", "options", "per_mm"), [
+    ("libx265", "gray12le", {"tune": "zerolatency", "x265-params": "lossless=1:log-level=none"}, 1),
+    ("libx264", "gray10le", {"tune": "zerolatency", "qp": "0"}, 8),
+    ("ffv1", "gray16le", {"level": "1"}, 1),
+    ("ffv1", "gray10le", {"level": "1"}, 8),
+])  # fmt: skip
 def test_lossless_depth_is_exact(tmp_path, codec, pixels, options, per_mm):
     packets = _coded([frame.depth_mm // per_mm for frame in FRAMES], codec, pixels, **options)
     log, profile = _log(tmp_path, _packet, packets, codec, scenes.RAW_DEPTH), tmp_path / "unit.toml"
@@ -153,7 +148,7 @@ def test_an_unknown_codec_is_refused_by_name(tmp_path, make):
 
 
 def test_foxglove_s_json_holds_video_too(tmp_path):
-    packets = CODED["h264"]([frame.rgb for frame in FRAMES])
+    packets = _packets("h264")
     log = [m for m in scenes.scene_messages(M, FRAMES, scenes.raw_images) if m.topic != scenes.RAW_COLOR]
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:

@@ -8,7 +8,7 @@ from players import SourceOptions, open_source
 from players.doctor.diagnosis import examine
 from players.logs.layouts.table import LAYOUTS, layout_of
 from tests import player_scenes as scenes
-from tools.worlds.image_folders import FOLDER_LOGS, BopLog
+from tools.worlds.image_folders import FOLDER_LOGS
 
 ICL_CAMERA = Camera(width=80, height=60, fx=60.15, fy=60.0, cx=39.5, cy=29.5)
 KINDS = {
@@ -73,11 +73,7 @@ def test_images_are_the_scene_in_metres(written):
     for raw, pose in zip(open_source(folder).frames(), true_poses(layout), strict=True):
         frame = raw.decode()
         rgb, depth = scenes.cast(camera_of(layout), pose)
-        np.testing.assert_allclose(
-            [frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy],
-            [camera_of(layout).fx, camera_of(layout).fy, camera_of(layout).cx, camera_of(layout).cy],
-            atol=1e-5,
-        )
+        np.testing.assert_allclose(frame.camera.K, camera_of(layout).K, atol=1e-5)
         assert np.abs(frame.rgb.astype(int) - rgb).mean() < 8.0
         both = np.isfinite(frame.depth_m) & (depth < FAR_M)
         assert both.mean() > 0.8 * (depth < FAR_M).mean() > 0.1
@@ -86,9 +82,18 @@ def test_images_are_the_scene_in_metres(written):
         assert (np.abs(frame.depth_m - depth)[both] < slack).mean() > 0.95
 
 
-def test_stamps_of_names_are_those_of_the_log(tmp_path):
-    stamps = [raw.stamp_ns for raw in open_source(write("arkit_scenes", tmp_path / "a")).frames()]
-    assert max(abs(a - frame.stamp_ns) for a, frame in zip(stamps, scenes.make_scene(), strict=True)) < 1_000_000
+def test_the_table_and_the_doctor_know_every_layout(written):
+    layout, folder = written
+    assert len({one.name for one in LAYOUTS if one.marks}) == len(LAYOUTS)
+    found = examine([folder], SourceOptions())
+    assert (found.kind, found.refusal, found.frames["frames"]) == (KINDS[layout], None, len(true_poses(layout)))
+    assert layout_of(folder).missing(folder) == ()
+    if layout == "scannet":
+        (folder / "intrinsic/intrinsic_depth.txt").unlink()
+        assert layout_of(folder).missing(folder) == ("intrinsic/intrinsic_depth.txt",)
+    if layout == "arkit_scenes":
+        stamps = [raw.stamp_ns for raw in open_source(folder).frames()]
+        assert max(abs(a - frame.stamp_ns) for a, frame in zip(stamps, scenes.make_scene(), strict=True)) < 1_000_000
 
 
 def test_lost_poses_and_lonely_images_are_in_the_ledger(written):
@@ -96,10 +101,8 @@ def test_lost_poses_and_lonely_images_are_in_the_ledger(written):
     next(folder.rglob(f"*{FOLDER_LOGS[layout].depth.split('/')[-2]}/*4*.png")).unlink()
     source = open_source(folder)
     list(source.frames())
-    counts = {"color_without_depth": 1, "no_pose": int(layout in UNPOSED)}
-    assert {fate: number for fate, number in counts.items() if number} == {
-        fate: number for fate, number in source.ledger().items() if fate != "frames"
-    }
+    fates = {fate: number for fate, number in source.ledger().items() if fate != "frames"}
+    assert fates == {"color_without_depth": 1, **({"no_pose": 1} if layout in UNPOSED else {})}
     assert source.account().as_dict()["difference"] == 0
 
 
@@ -161,27 +164,7 @@ def test_cut_off_text_is_refused_or_costs_frames_only(written):
         file.write_bytes(whole)
 
 
-def test_the_doctor_reads_every_layout(written):
-    layout, folder = written
-    found = examine([folder], SourceOptions())
-    assert (found.kind, found.refusal) == (KINDS[layout], None)
-    assert found.frames["frames"] == len(true_poses(layout))
-
-
-def test_the_table_says_which_files_are_missing(written):
-    layout, folder = written
-    assert layout_of(folder).missing(folder) == ()
-    if layout == "scannet":
-        (folder / "intrinsic/intrinsic_depth.txt").unlink()
-        assert layout_of(folder).missing(folder) == ("intrinsic/intrinsic_depth.txt",)
-
-
-def test_names_of_layouts_differ_and_every_row_has_a_mark():
-    assert len({layout.name for layout in LAYOUTS}) == len(LAYOUTS)
-    assert all(layout.marks for layout in LAYOUTS)
-
-
-def test_intrinsics_of_bop_may_differ_by_image(tmp_path):
+def test_bop_has_intrinsics_by_image_and_names_its_scenes(tmp_path):
     folder = write("bop", tmp_path / "bop")
     file = scene_of(folder) / "scene_camera.json"
     table = json.loads(file.read_text())
@@ -195,6 +178,10 @@ def test_intrinsics_of_bop_may_differ_by_image(tmp_path):
     source = open_source(folder)
     np.testing.assert_allclose([raw.camera.cx for raw in source.frames()], [39.5, 42.5, 39.5, 39.5, 39.5])
     assert source.ledger() == {"frames": 5, "no_intrinsics": 1}
+    (folder / "val/000007").mkdir(parents=True)
+    (folder / "val/000007/scene_camera.json").write_text("{}")
+    with pytest.raises(RecordingError, match=r"of 2 scenes; name one of them: test/000001, val/000007"):
+        open_source(folder)
 
 
 def objects_of(poses, order):
@@ -229,14 +216,6 @@ def test_objects_that_do_not_move_tell_how_a_bop_camera_moved(tmp_path):
     assert source.ledger()["no_pose"] == 1
 
 
-def test_a_bop_data_set_of_several_scenes_names_them(tmp_path):
-    folder = write("bop", tmp_path / "bop")
-    (folder / "val/000007").mkdir(parents=True)
-    (folder / "val/000007/scene_camera.json").write_text("{}")
-    with pytest.raises(RecordingError, match=r"of 2 scenes; name one of them: test/000001, val/000007"):
-        open_source(folder)
-
-
 def test_icl_poses_of_the_first_camera_are_read_as_well(tmp_path):
     folder = write("icl_nuim", tmp_path / "icl")
     rows = []
@@ -261,21 +240,18 @@ def test_nerfstudio_images_are_rectified(tmp_path):
     assert np.abs(frame.rgb.astype(int) - before.rgb)[:10, :10].mean() > 5.0
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model EQUIRECTANGULAR"),
-        ({"fl_x": -3.0}, "fx is -3.0; expected 0.001"),
-        ({"k1": float("nan")}, "distortion"),
-        ({"depth_unit_scale_factor": 0}, "ZeroDivisionError"),
-        ({"frames": [{"file_path": "images/frame_00000.png", "transform_matrix": np.eye(4).tolist()}]}, "no frame has"),
-        ({"frames": [{"file_path": "a.png"}]}, "transform_matrix"),
-        (
-            {"frames": [{"file_path": 500 * "a", "depth_file_path": "b", "transform_matrix": [1.0] * 16}]},
-            "found 1 depth_without_color",
-        ),
-    ],
-)
+POSED = {"transform_matrix": np.eye(4).tolist()}
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"camera_model": "EQUIRECTANGULAR"}, "camera_model EQUIRECTANGULAR"),
+    ({"fl_x": -3.0}, "fx is -3.0; expected 0.001"),
+    ({"k1": float("nan")}, "distortion"),
+    ({"depth_unit_scale_factor": 0}, "ZeroDivisionError"),
+    ({"frames": [{**POSED, "file_path": "images/frame_00000.png"}]}, "no frame has"),
+    ({"frames": [{"file_path": "a.png"}]}, "transform_matrix"),
+    ({"frames": [{**POSED, "file_path": 500 * "a", "depth_file_path": "b"}]}, "found 1 depth_without_color"),
+])  # fmt: skip
 def test_a_nerfstudio_file_without_a_pinhole_or_depth_is_refused(tmp_path, change, message):
     folder = write("nerfstudio", tmp_path / "nerf")
     table = json.loads((folder / "transforms.json").read_text())
@@ -284,22 +260,14 @@ def test_a_nerfstudio_file_without_a_pinhole_or_depth_is_refused(tmp_path, chang
         open_source(folder)
 
 
-def test_an_open3d_folder_without_a_trajectory_needs_odometry(tmp_path):
-    folder = write("open3d", tmp_path / "o3d")
-    (folder / "trajectory.log").unlink()
-    with pytest.raises(NoPosesError, match=r"has no trajectory\.log; --odometry depth estimates poses"):
-        open_source(folder, SourceOptions(odometry="topic"))
-    (folder / "camera_intrinsic.json").unlink()
-    assert layout_of(folder) is None
-
-
-def test_gravity_of_a_file_goes_before_level_surfaces(tmp_path):
+def test_an_open3d_folder_takes_gravity_and_needs_a_trajectory(tmp_path):
     folder = write("open3d", tmp_path / "o3d")
     np.savetxt(folder / "gravity-direction.txt", scenes.make_scene()[0].world_from_camera[:3, :3].T @ (0.0, 0.0, -1.0))
     source = open_source(folder)
     assert dict(source.info.streams)["up"] == "gravity-direction.txt"
     assert next(source.frames()).world_from_camera[2, 1] == pytest.approx(-1.0, abs=1e-6)
-
-
-def test_the_writers_depth_is_in_the_unit_that_they_declare():
-    assert BopLog.units_per_m == 1000.0 / 0.1
+    (folder / "trajectory.log").unlink()
+    with pytest.raises(NoPosesError, match=r"has no trajectory\.log; --odometry depth estimates poses"):
+        open_source(folder, SourceOptions(odometry="topic"))
+    (folder / "camera_intrinsic.json").unlink()
+    assert layout_of(folder) is None
