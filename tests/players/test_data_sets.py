@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 from hickory_stream.errors import CalibrationError
-from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from hickory_stream.geometry.rigid import invert, quaternion_from_rotation, rotation_angle_rad
 from hickory_stream.records import Phase
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
-from players.profile import load_profile, profile_names
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.worlds.drift import DriftConfig
 from tools.worlds.layouts import layout_files
@@ -26,17 +25,27 @@ def recorded(request, tmp_path_factory):
     return layout, [folder / file for file in layout_files(layout, "log")], truth
 
 
-def test_the_profile_is_guessed_and_the_chain_is_told(recorded):
+CHAINS = {
+    "kimera_multi": "acl_jackal/odom <- acl_jackal/realsense_base <- body <- infra1_optical <- color_optical",
+    "nus_clb": "odom <- odom_mapping <- robot_flu <- zed_left_optical",
+}
+
+
+def test_profile_and_chain_are_told_and_messages_accounted_for(recorded):
     layout, files, _ = recorded
-    streams = dict(open_source(files).info.streams)
-    name = "kimera_multi" if layout == "kimera_multi" else "nus_clb"
+    source, name = open_source(files), layout.removesuffix("_jpeg")
+    streams = dict(source.info.streams)
     assert streams["profile"] == f"{name} (guessed from the topics)"
-    assert streams["extrinsics"] == f"profile {name}"
-    assert streams["frames"] == (
-        "acl_jackal/odom <- acl_jackal/realsense_base <- body <- infra1_optical <- color_optical"
-        if name == "kimera_multi"
-        else "odom <- odom_mapping <- robot_flu <- zed_left_optical"
-    )
+    assert (streams["extrinsics"], streams["frames"]) == (f"profile {name}", CHAINS[name])
+    first, *_ = source.frames()
+    frame, account = first.decode(), source.account().as_dict()
+    assert account["declared"] == account["used"] + account["not_needed"] + sum(account["rejected"].values())
+    assert account["unreadable"] == account["difference"] == account["not_played"] == 0
+    assert frame.depth_m.shape == frame.rgb.shape[:2] == (120, 160)
+    assert 0.5 < np.isfinite(frame.depth_m).mean() < 1.0
+    assert np.nanmin(frame.depth_m) > 0.2
+    # Kimera-Multi's depth camera sits 6 cm to the left: its picture is shifted, and its edge is unseen.
+    assert streams["depth_to_color"].startswith("profile kimera_multi" if name == "kimera_multi" else "none")
 
 
 def test_poses_are_the_colour_cameras_within_a_millimetre(recorded):
@@ -54,54 +63,22 @@ def test_poses_are_the_colour_cameras_within_a_millimetre(recorded):
         assert rotation_angle_rad(error[:3, :3]) < np.radians(0.05) * slack
 
 
-def test_depth_is_registered_to_colour(recorded):
-    layout, files, _ = recorded
-    source = open_source(files)
-    frame = next(source.frames()).decode()
-    assert frame.depth_m.shape == frame.rgb.shape[:2] == (120, 160)
-    assert 0.5 < np.isfinite(frame.depth_m).mean() < 1.0
-    assert np.nanmin(frame.depth_m) > 0.2
-    # Kimera-Multi's depth camera sits 6 cm to the left: its picture is shifted, and its edge is unseen.
-    unregistered = dict(source.info.streams)["depth_to_color"]
-    assert unregistered.startswith("profile kimera_multi" if layout == "kimera_multi" else "none")
+WHEELS = (
+    r"jackal_velocity_controller/odom gives acl_jackal2/base.*knows the body of /acl_jackal/kimera_vio_ros/odometry"
+)
 
 
-def test_every_message_is_accounted_for(recorded):
-    source = open_source(recorded[1])
-    assert sum(1 for _ in source.frames()) > 0
-    account = source.account().as_dict()
-    assert account["declared"] == account["used"] + account["not_needed"] + sum(account["rejected"].values())
-    assert account["unreadable"] == account["difference"] == account["not_played"] == 0
-
-
-def test_wheels_are_not_taken_for_the_body_of_visual_odometry(recorded):
+def test_wheels_and_an_unknown_robot_are_refused(recorded):
     layout, files, _ = recorded
     if layout != "kimera_multi":
         pytest.skip("of Kimera-Multi only")
-    told = (
-        r"jackal_velocity_controller/odom gives acl_jackal2/base.*knows the body of /acl_jackal/kimera_vio_ros/odometry"
-    )
-    with pytest.raises(CalibrationError, match=told):
+    with pytest.raises(CalibrationError, match=WHEELS):
         open_source(files[0])
-
-
-def test_a_robot_that_is_not_known_is_refused(recorded):
-    layout, files, _ = recorded
-    if layout != "kimera_multi":
-        pytest.skip("of Kimera-Multi only")
     with pytest.raises(CalibrationError, match=r"robot 'spot' is not known; expected one of acl_jackal.*--robot"):
         open_source(files, SourceOptions(robot="spot", profile="kimera_multi"))
 
 
-def test_every_profile_is_read_with_a_title():
-    robots = {"kimera_multi": "thoth"}
-    for name in profile_names():
-        assert load_profile(name, robot=robots.get(name)).title
-
-
 def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(recorded, tmp_path):
-    from hickory_stream.geometry.rigid import quaternion_from_rotation
-
     layout, files, truth = recorded
     if layout != "kimera_multi":
         pytest.skip("of Kimera-Multi only")
@@ -121,9 +98,8 @@ def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(recorded, tmp_pa
 
 def street_map(folder, layout, rate_hz, drift=None):
     """Layer 1 of three seconds of a street: (centre, sightings) of its objects, and the walked distance."""
-    config = RecordingConfig(
-        scene="outdoor", seed=4, layout=layout, seconds=3.0, rate_hz=rate_hz, width=160, height=120, drift=drift
-    )
+    street = {"scene": "outdoor", "seed": 4, "drift": drift}
+    config = RecordingConfig(layout=layout, seconds=3.0, rate_hz=rate_hz, width=160, height=120, **street)
     truth = make_recording(outdoors(config), folder, layout)
     files = [folder / file for file in layout_files(layout, layout)]
     *_, last = play_first_layer(files)

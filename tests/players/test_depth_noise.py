@@ -54,14 +54,11 @@ def test_a_constant_added_to_depth_is_found_to_a_centimetre(bias_m):
     assert bias.is_off == (bias_m != 0)
 
 
-def test_a_sensor_of_twice_the_noise_is_another_one():
+def test_twice_the_noise_is_another_sensor_and_unsure_bias_none():
     noise = DepthNoise(noise_m=0.0, noise_per_m=0.001, num_patches=100, near_m=1.0, far_m=4.0)
     assert noise.is_other_than(DepthSensor(noise_per_m=0.0025))
     assert noise.is_other_than(DepthSensor(noise_per_m=0.0004, floor_m=0.0))
     assert not noise.is_other_than(DepthSensor(noise_per_m=0.0015))
-
-
-def test_a_small_or_an_unsure_bias_is_none():
     bias = DepthBias(bias_m=0.03, error_m=0.002, num_frames=9)
     assert bias.is_off
     assert not replace(bias, bias_m=0.015).is_off

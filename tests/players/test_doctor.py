@@ -1,10 +1,8 @@
-import json
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SCENE_CAMERA, START_NS, SceneSource
-from hickory_stream.cli import main
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import RawFrame, SourceInfo
 from players import SourceOptions
@@ -19,8 +17,10 @@ from players.doctor.diagnosis import (
     judge_color,
     judge_ends,
 )
+from players.doctor.image_brightness import brightness_of, median_brightness
 from players.doctor.report import diagnosis_page, diagnosis_text
 from tests import player_scenes as scenes
+from tests.cli.test_cli import answer, said
 
 M = scenes.Messages(ros=2)
 FRAMES = scenes.make_scene(num_frames=12)
@@ -54,22 +54,16 @@ def test_a_sound_log_is_sound_and_its_figures_are_right(tmp_path):
     assert found.estimate["map_s"] > 0
 
 
-def test_too_few_frames_for_the_motion_is_usable_with_losses():
+def test_too_few_frames_for_the_motion_are_losses_5_hz_enough():
     # The camera moves by 0.3 m a second and turns by 20 degrees: a frame every 0.6 s leaves a third of what is due.
     found = _judged([(0.6 * i, 0.18 * i, 12.0 * i) for i in range(19)])
     assert found.status == WITH_LOSSES
     assert "19 keyframes in 10.8 s, 43 would be due at this motion" in found.problems[0]
     assert "seen for 1 s" in found.problems[0]
-
-
-def test_5_hz_or_a_resting_camera_give_enough_keyframes():
     assert _judged([(0.2 * i, 0.1 * i, 8.0 * i) for i in range(50)]).problems == []
     assert _judged([(0.1 * i, 0.0, 0.0) for i in range(200)]).problems == []
-
-
-def test_an_end_before_any_confirmation_is_usable_with_losses():
-    found = _judged([(0.45 * i, 0.2 * i, 0.0) for i in range(3)])
-    assert found.problems == ["3 keyframes in 0.9 s: what is seen for 1 s is mapped; record for longer"]
+    short = "3 keyframes in 0.9 s: what is seen for 1 s is mapped; record for longer"
+    assert _judged([(0.45 * i, 0.2 * i, 0.0) for i in range(3)]).problems == [short]
 
 
 class _Walk:
@@ -87,9 +81,8 @@ class _Walk:
         for i, (seconds, metres, degrees) in enumerate(self._steps):
             pose = from_rotation_translation(yaw_rotation(np.deg2rad(degrees)), np.array([metres, 0.0, 0.0]))
             stamp_ns = START_NS + round(1e9 * seconds)
-            yield RawFrame(
-                index=i, stamp_ns=stamp_ns, camera=SCENE_CAMERA, world_from_camera=pose, decode=lambda: frame
-            )
+            known = {"index": i, "stamp_ns": stamp_ns, "camera": SCENE_CAMERA, "world_from_camera": pose}
+            yield RawFrame(**known, decode=lambda: frame)
 
     def ledger(self):
         return {"frames": len(self._steps)}
@@ -117,7 +110,7 @@ def test_colour_25_mm_beside_depth_is_a_problem_of_a_link():
     assert len(shown.problems) == 1
 
 
-def test_a_damaged_log_is_usable_and_the_damage_is_listed(tmp_path):
+def test_a_damaged_or_cut_off_log_is_usable_with_losses(tmp_path):
     log = _log(tmp_path)
     data = bytearray(log.read_bytes())
     data[len(data) // 2] ^= 0xFF
@@ -130,9 +123,6 @@ def test_a_damaged_log_is_usable_and_the_damage_is_listed(tmp_path):
     assert found.ledger["unreadable"] == flaw["messages"]
     assert found.ledger["difference"] == 0
     assert any("1 damaged places" in problem for problem in found.problems)
-
-
-def test_a_log_that_was_cut_off_is_usable_with_losses(tmp_path):
     log = _log(tmp_path)
     log.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
     found = _examined(log)
@@ -171,32 +161,24 @@ def test_a_folder_of_images_is_examined_too(tmp_path):
     assert f"ledger: {2 * len(FRAMES)} files declared" in diagnosis_text(found)
 
 
-def test_text_and_page_hold_the_verdict_and_escape_names(tmp_path):
-    found = _examined(_log(tmp_path))
-    found.notes.append("<script>")
-    assert "desk.mcap: SOUND" in diagnosis_text(found)
-    page = diagnosis_page(found)
-    assert "<svg" in page
-    assert "<script>" not in page
-
-
-def test_the_command_ends_with_the_verdict(tmp_path, capsys):
-    log = _log(tmp_path)
-    page = tmp_path / "page.html"
-    assert main(["doctor", str(log), "--json", "--html", str(page)]) == SOUND
-    assert json.loads(capsys.readouterr().out)["verdict"] == "sound"
+def test_the_command_ends_with_the_verdict_in_text_json_and_page(tmp_path):
+    log, page = _log(tmp_path), tmp_path / "page.html"
+    assert answer("doctor", log, "--html", page, status=SOUND)["verdict"] == "sound"
     assert page.read_text().startswith("<!doctype html>")
-    assert main(["doctor", str(tmp_path / "none.bag")]) == UNUSABLE
+    assert "desk.mcap: SOUND" in said("doctor", log, status=SOUND)
+    said("doctor", tmp_path / "none.bag", status=UNUSABLE)
+    found = _examined(log)
+    found.notes.append("<script>")
+    page = diagnosis_page(found)
+    assert "<svg" in page and "<script>" not in page
 
 
 @pytest.mark.skipif(not BAGS.is_dir(), reason="needs real logs beside the checkout")
 def test_every_real_log_is_read_whole_or_says_why_not(capsys):
     """None of them holds images; every message of every one is read. Prints the table of them."""
-    logs = sorted(
-        p for p in BAGS.rglob("*") if p.suffix in (".bag", ".mcap", ".db3") or (p / "metadata.yaml").is_file()
-    )
+    logs, rows = [*BAGS.rglob("*")], []
+    logs = sorted(p for p in logs if p.suffix in (".bag", ".mcap", ".db3") or (p / "metadata.yaml").is_file())
     assert len(logs) > 50
-    rows = []
     for log in logs:
         found = _examined(log)
         assert found.status == UNUSABLE
@@ -220,3 +202,15 @@ def test_a_camera_that_stops_long_before_the_other_is_a_problem(color_s, depth_s
     assert len(found.problems) == (said is not None)
     if said is not None:
         assert found.problems[0].startswith(said)
+
+
+def image(*rgb):
+    return brightness_of(np.broadcast_to(np.array(rgb, dtype=np.uint8), (40, 60, 3)))
+
+
+def test_a_black_image_is_dark_one_of_one_hue_grey():
+    assert image(3, 2, 4).is_dark and not image(90, 80, 70).is_dark
+    assert image(90, 90, 90).is_grey and not image(90, 60, 40).is_grey
+    assert median_brightness([]) is None
+    found = median_brightness([image(0, 0, 0), image(90, 60, 40), image(90, 60, 40)])
+    assert not found.is_dark and not found.is_grey

@@ -3,7 +3,6 @@ import re
 import threading
 import pytest
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.fleet.crew import run_crew
@@ -16,6 +15,7 @@ from players.doctor.motion_agreement import MotionSampler, step_between
 from players.doctor.motion_mends import check_motion, motion_warnings, watched
 from players.live import open_live
 from players.profile import mended_profile
+from tests.cli.test_cli import look, said
 from tests.players.test_motion_faults import DEPTH, ODOM, cut, stamped, unit
 
 FEW = ("--set", "mapper.mapping.requests.max_failures=0")
@@ -26,11 +26,10 @@ def logs(tmp_path):
     return [cut(tmp_path / "sound.mcap", seconds=3.0), cut(tmp_path / "far.mcap", unit(10), seconds=3.0)]
 
 
-def test_a_batch_refuses_what_play_refuses(logs, tmp_path, capsys):
-    main(["batch", *map(str, logs), "-o", str(tmp_path / "out"), "--workers", "1", *FEW])
-    said = " ".join(capsys.readouterr().out.split())
-    assert "too far for the motion of the poses: it is in 0.1 mm" in said
-    assert "--anyway" in said
+def test_a_batch_refuses_what_play_refuses(logs, tmp_path):
+    told = look("batch", *logs, "-o", tmp_path / "out", "--workers", "1", *FEW).stdout
+    assert "too far for the motion of the poses: it is in 0.1 mm" in " ".join(told.split())
+    assert "--anyway" in told
     assert not (tmp_path / "out/maps/far.map").exists()
     assert (tmp_path / "out/maps/sound.map").exists()
 
@@ -90,7 +89,7 @@ def test_poses_of_another_time_are_refused_with_their_offset(tmp_path, change, o
     with pytest.raises(RecordingError, match=r"no image has a pose.*pose_offset_ms = -?\d+ under \[time\]") as refused:
         open_source(log)
     assert float(re.search(r"pose_offset_ms = (-?\d+)", str(refused.value))[1]) == pytest.approx(offset_ms, abs=20)
-    assert main(["doctor", str(log), "--fix", str(profile), "--json"]) == UNUSABLE
+    said("doctor", log, "--fix", profile, status=UNUSABLE)
     source = open_source(log, SourceOptions(profile=str(profile)))
     assert len(list(source.frames())) >= 47
     assert source.findings() == {}
@@ -107,9 +106,9 @@ def test_depth_of_another_clock_is_refused_with_its_offset(tmp_path, seconds):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"), [(unit(10), "too far"), (stamped(0.3, "/tf", ODOM), "too late"), (None, "")]
+    ("change", "text"), [(unit(10), "too far"), (stamped(0.3, "/tf", ODOM), "too late"), (None, "")]
 )
-def test_a_live_run_is_told_once_and_goes_on(tmp_path, caplog, change, said):
+def test_a_live_run_is_told_once_and_goes_on(tmp_path, caplog, change, text):
     log = cut(tmp_path / "log.mcap", change or (lambda rows: None), seconds=4.0)
     with caplog.at_level(logging.WARNING):
         source = open_live(f"mcap:{log}")
@@ -117,9 +116,9 @@ def test_a_live_run_is_told_once_and_goes_on(tmp_path, caplog, change, said):
         source.close()
     assert len(frames) > 20
     told = [record.getMessage() for record in caplog.records if "put " in record.getMessage()]
-    assert len(told) == bool(said)
-    assert all(said in text for text in told)
-    assert [text for text in source.account().findings if "put " in text] == told
+    assert len(told) == bool(text)
+    assert all(text in one for one in told)
+    assert [one for one in source.account().findings if "put " in one] == told
 
 
 def test_no_frame_of_a_live_run_waits_for_its_comparison(monkeypatch):

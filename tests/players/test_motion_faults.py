@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from hickory_stream.cli import main
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import SOUND, UNUSABLE, WITH_LOSSES, examine
 from players.doctor.motion_mends import motion_warnings
 from players.profile import load_profile, mended_profile
 from tests import player_scenes as scenes
+from tests.cli.test_cli import answer, refusal
 
 DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
 M = scenes.Messages(ros=2)
@@ -31,9 +31,8 @@ Row = SimpleNamespace
 @cache
 def demo():
     with DEMO.open("rb") as stream:
-        return [
-            (s.name, NAMES.get(c.topic, c.topic), m.log_time, m.data) for s, c, m in make_reader(stream).iter_messages()
-        ]
+        messages = make_reader(stream).iter_messages()
+        return [(s.name, NAMES.get(c.topic, c.topic), m.log_time, m.data) for s, c, m in messages]
 
 
 def cut(path, change=lambda rows: None, seconds=6.0, start=0.0):
@@ -72,9 +71,8 @@ def in_frame(name):
 def stamped(seconds, *topics):
     def change(rows):
         for row in of(rows, *topics):
-            for header in (
-                [link.header for link in row.message.transforms] if row.topic == "/tf" else [row.message.header]
-            ):
+            stamped = row.message.transforms if row.topic == "/tf" else [row.message]
+            for header in (one.header for one in stamped):
                 ns = header.stamp.sec * 10**9 + header.stamp.nanosec + round(seconds * 1e9)
                 header.stamp.sec, header.stamp.nanosec = divmod(ns, 10**9)
 
@@ -118,19 +116,16 @@ def test_a_sound_cut_is_sound_and_its_intervals_hold(tmp_path, start, seconds):
     assert bias is None or abs(bias["bias_m"]) <= 3 * bias["error_m"]
 
 
-@pytest.mark.parametrize(
-    ("change", "reason", "fixes"),
-    [
-        (unit(10), "9.\\d+ \\+- 0.6 times too far .* 0.1 mm", {"depth_units_per_m": 10000.0}),
-        (unit(4), "times too far .* 0.25 mm", {"depth_units_per_m": 4000.0}),
-        (unit(0.1), "times too near .* in centimetres", {"depth_units_per_m": 100.0}),
-        (in_frame("zed_left_camera_frame"), "a body's axes", {"camera_axes": "-y -z x"}),
-        (stamped(-0.5, "/tf", ODOM), "0.5\\d* \\+- 0.0\\d+ s too early", {"time": {"pose_offset_ms": 500}}),
-        (stamped(0.3, "/tf", ODOM), "too late for the images", {"time": {"pose_offset_ms": -300}}),
-        (mirrored, "mirrored", {}),
-        (another_robot, "another robot's", {}),
-    ],
-)
+@pytest.mark.parametrize(("change", "reason", "fixes"), [
+    (unit(10), "9.\\d+ \\+- 0.6 times too far .* 0.1 mm", {"depth_units_per_m": 10000.0}),
+    (unit(4), "times too far .* 0.25 mm", {"depth_units_per_m": 4000.0}),
+    (unit(0.1), "times too near .* in centimetres", {"depth_units_per_m": 100.0}),
+    (in_frame("zed_left_camera_frame"), "a body's axes", {"camera_axes": "-y -z x"}),
+    (stamped(-0.5, "/tf", ODOM), "0.5\\d* \\+- 0.0\\d+ s too early", {"time": {"pose_offset_ms": 500}}),
+    (stamped(0.3, "/tf", ODOM), "too late for the images", {"time": {"pose_offset_ms": -300}}),
+    (mirrored, "mirrored", {}),
+    (another_robot, "another robot's", {}),
+])  # fmt: skip
 def test_poses_that_do_not_fit_are_named_with_their_mend(tmp_path, change, reason, fixes):
     log = cut(tmp_path / "log.mcap", change)
     found = examined(log)
@@ -153,15 +148,13 @@ def test_depth_that_was_taken_later_is_told_with_its_sign(tmp_path):
     assert found.fixes["time"]["depth_offset_ms"] == pytest.approx(167, abs=30)
 
 
-def test_play_refuses_and_doctor_writes_a_profile(tmp_path, capsys):
-    log, profile = cut(tmp_path / "log.mcap", unit(10)), tmp_path / "mended.toml"
-    out = tmp_path / "out.map"
-    assert main(["play", str(log), "--out", str(out), "--viewer", "none"]) == 2
-    assert "--anyway" in capsys.readouterr().err
+def test_play_refuses_and_doctor_writes_a_profile(tmp_path):
+    log, profile, out = cut(tmp_path / "log.mcap", unit(10)), tmp_path / "mended.toml", tmp_path / "out.map"
+    assert "--anyway" in refusal("play", log, "--out", out, "--viewer", "none")
     assert not out.exists()
-    assert main(["doctor", str(log), "--fix", str(profile), "--json"]) == UNUSABLE
+    answer("doctor", log, "--fix", profile, status=UNUSABLE)
     assert load_profile(str(profile)).depth_units_per_m == 10000.0
-    assert main(["doctor", str(log), "--profile", str(profile), "--json"]) == SOUND
+    answer("doctor", log, "--profile", profile, status=SOUND)
 
 
 def test_a_mended_profile_keeps_what_its_base_says(tmp_path):

@@ -1,13 +1,11 @@
-import json
 import numpy as np
 import pytest
-from hickory_stream.cli import main
-from hickory_stream.poses.hand_eye import HandEye
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import examine
-from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_extrinsics
+from tests.cli.test_cli import answer, look
+from tests.cli.test_cli_strange_walks import LAYER_ONE
 from tools.worlds.layouts import drawn_mounting
 from tools.worlds.recording_config import RecordingConfig
 
@@ -25,11 +23,7 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def estimate(recorded):
-    source = open_source(recorded / "b2")
-    assert isinstance(source, LogSource)
-    found = estimated_extrinsics(source)
-    assert isinstance(found, HandEye)
-    return found
+    return estimated_extrinsics(open_source(recorded / "b2"))
 
 
 def test_the_offset_is_four_decimetres_and_ten_degrees_by_seed():
@@ -57,12 +51,10 @@ def test_doctor_warns_that_the_profile_is_off(recorded, estimate, monkeypatch):
     assert "--extrinsics estimate" in told[0]
 
 
-def test_a_log_is_mapped_through_the_estimate(recorded, capsys):
+def test_a_log_is_mapped_through_the_estimate(recorded):
     out = recorded / "b2.map"
-    played = ("play", str(recorded / "b2"), "--extrinsics", "estimate", "--end", "8", "--out", str(out))
-    assert main([*played, "--viewer", "none", "--set", "mapper.mapping.requests.max_failures=0"]) in (0, 3)
-    capsys.readouterr()
-    assert main(["evaluate", str(out), "--truth", str(recorded / "b2.truth"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    played = look("play", recorded / "b2", "--extrinsics", "estimate", "--end", "8", "--out", out, *LAYER_ONE)
+    assert played.status in (0, 3)
+    found = answer("evaluate", out, "--truth", recorded / "b2.truth")
     # 0.59 as measured; 0.14 through the profile's zero, 0.73 where there is no offset.
     assert found["recall_25"] >= 0.45

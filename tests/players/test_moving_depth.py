@@ -1,6 +1,5 @@
 from dataclasses import replace
 import numpy as np
-import pytest
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players import SourceOptions, open_source
 from tests import player_scenes as scenes
@@ -47,18 +46,9 @@ def errors_m(source):
     return np.concatenate(found)
 
 
-@pytest.fixture(scope="module")
-def moved(tmp_path_factory):
-    return errors_m(log(tmp_path_factory.mktemp("moved") / "log"))
-
-
-def test_late_depth_is_as_right_as_depth_of_the_same_moment(tmp_path, moved):
-    same = errors_m(log(tmp_path / "log", lag_ns=0))
+def test_late_depth_is_right_unless_by_the_recorders_clock(tmp_path):
+    moved, same = errors_m(log(tmp_path / "log")), errors_m(log(tmp_path / "same", lag_ns=0))
     assert np.median(moved) < np.median(same) + 0.001
     assert (moved > 0.05).mean() < (same > 0.05).mean() + 0.01
-
-
-def test_by_the_recorders_clock_nobody_knows_the_way_between(tmp_path, moved):
-    log(tmp_path / "log")
     still = errors_m(open_source(tmp_path / "log", replace(OPTIONS, clock="log")))
     assert np.median(still) > 3 * np.median(moved)

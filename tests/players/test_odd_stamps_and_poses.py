@@ -33,24 +33,16 @@ def _where(is_changed, stamp):
     return [_restamped(m, stamp(m.stamp_ns)) if is_changed(m) else m for m in LOG]
 
 
-def test_stamps_that_were_never_set_are_replaced_by_log_time(tmp_path):
-    source = _open(tmp_path, _where(lambda m: m.topic in IMAGES, lambda _: 0))
-    assert dict(source.info.streams)["stamps"].startswith("log time: the header stamps of /cam/color")
+@pytest.mark.parametrize(("topics", "stamp", "clock", "said"), [
+    (IMAGES, lambda _: 0, "auto", "log time: the header stamps of /cam/color"),
+    (IMAGES[1:], lambda ns: ns + 3_600 * S, "auto", "3600 s apart"),
+    ((), None, "log", "log time, as asked"),
+], ids=["never set", "far off", "asked for"])  # fmt: skip
+def test_stamps_are_replaced_by_log_time(tmp_path, topics, stamp, clock, said):
+    source = _open(tmp_path, _where(lambda m: m.topic in topics, stamp), clock=clock)
+    assert said in dict(source.info.streams)["stamps"]
     frames, ledger, _ = _played(source)
-    assert len(frames) == len(TRUTH)
-    assert ledger == {"frames": len(TRUTH)}
-
-
-def test_a_clock_far_off_is_replaced_by_log_time(tmp_path):
-    source = _open(tmp_path, _where(lambda m: m.topic == scenes.PNG_DEPTH, lambda s: s + 3_600 * S))
-    assert "3600 s apart" in dict(source.info.streams)["stamps"]
-    assert len(_played(source)[0]) == len(TRUTH)
-
-
-def test_log_time_may_be_asked_for(tmp_path):
-    source = _open(tmp_path, LOG, clock="log")
-    assert dict(source.info.streams)["stamps"] == "log time, as asked"
-    assert len(_played(source)[0]) == len(TRUTH)
+    assert (len(frames), ledger) == (len(TRUTH), {"frames": len(TRUTH)})
 
 
 def test_one_image_with_a_stamp_of_zero_is_rejected(tmp_path):
@@ -64,11 +56,9 @@ def test_one_image_with_a_stamp_of_zero_is_rejected(tmp_path):
 
 def test_a_log_that_was_played_in_a_loop_is_played_whole(tmp_path):
     """Each round has the same header stamps; the time of recording goes on."""
-    span_ns = 5 * S
-    again = [replace(m, stamp_ns=m.stamp_ns + span_ns) for m in LOG if m.topic != "/tf_static"]
-    spread = [replace(m, message=m.message) for m in LOG]
+    again = [replace(m, stamp_ns=m.stamp_ns + 5 * S) for m in LOG if m.topic != "/tf_static"]
     shift = 4 * S  # the log must be longer than what counts as merely late
-    first = [_restamped(m, m.stamp_ns + shift) if m.topic in (*IMAGES, "/odom") else m for m in spread]
+    first = _where(lambda m: m.topic in (*IMAGES, "/odom"), lambda ns: ns + shift)
     frames, ledger, _ = _played(_open(tmp_path, [*first, *again]))
     stamps = [frame.stamp_ns for frame in frames]
     assert len(frames) == 2 * len(TRUTH)
@@ -98,11 +88,9 @@ def test_overlapping_splits_are_one_log(tmp_path):
 
 def test_a_pose_that_teleports_is_rejected(tmp_path):
     def far(message):
-        pose = M.odometry(message.stamp_ns, "odom", "base_link", np.diag([1.0, 1, 1, 1]))
-        position = replace(pose.pose.pose.position, x=50.0)
-        return replace(
-            message, message=replace(pose, pose=replace(pose.pose, pose=replace(pose.pose.pose, position=position)))
-        )
+        away = np.eye(4)
+        away[0, 3] = 50.0
+        return replace(message, message=M.odometry(message.stamp_ns, "odom", "base_link", away))
 
     odometry = [m for m in LOG if m.topic == "/odom"]
     messages = [far(m) if m is odometry[20] else m for m in LOG]
@@ -124,12 +112,9 @@ def test_a_calibration_or_static_link_that_comes_late_is_found(tmp_path, late):
 def test_a_changed_calibration_is_counted_and_the_first_is_kept(tmp_path):
     other = replace(scenes.CAMERA, fx=90.0)
     late = TRUTH[6].stamp_ns
-    messages = [
-        replace(m, message=M.camera_info(m.stamp_ns, scenes.OPTICAL, other))
-        if m.topic == "/cam/color/camera_info" and m.stamp_ns == late
-        else m
-        for m in LOG
-    ]
+    place = next(i for i, m in enumerate(LOG) if m.topic == "/cam/color/camera_info" and m.stamp_ns == late)
+    changed = replace(LOG[place], message=M.camera_info(late, scenes.OPTICAL, other))
+    messages = [*LOG[:place], changed, *LOG[place + 1 :]]
     frames, ledger, _ = _played(_open(tmp_path, messages))
     assert ledger["camera_info_changed"] >= 1
     assert {frame.camera for frame in frames} == {scenes.CAMERA}

@@ -1,11 +1,9 @@
 import asyncio
-import json
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.cli import main
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.evaluation.trajectory_error import trajectory_error
@@ -18,6 +16,7 @@ from players import SourceOptions, open_source
 from players.first_frames import FirstFrames
 from players.poses.odometry_source import OdometrySource
 from tests import player_scenes as scenes
+from tests.cli.test_cli import answer, said
 from tests.engine.run_fixtures import NO_SHAPES, scene_config
 from tools.worlds.corridor import CorridorConfig, scan_from
 
@@ -43,19 +42,16 @@ def test_a_log_without_poses_is_estimated_in_an_upright_world():
         assert np.degrees(np.arccos(min(1.0, mine[2, :3] @ theirs[2, :3]))) < 1.0, "up is up"
 
 
-def test_the_frames_that_are_decoded_are_at_the_estimated_poses():
-    source = FirstFrames(open_source(DEMO, UNPOSED), 3)
-    for raw in source.frames():
-        frame = raw.decode()
-        assert (frame.index, frame.stamp_ns) == (raw.index, raw.stamp_ns)
-        np.testing.assert_array_equal(frame.world_from_camera, raw.world_from_camera)
-        assert raw.is_posed
-    assert dict(source.info.streams)["pose"] == "odometry: small_gicp on depth"
-
-
-def test_estimated_poses_are_the_same_in_every_pass():
+def test_decoded_frames_are_at_the_estimated_poses_of_every_pass():
     source = FirstFrames(open_source(DEMO, UNPOSED), 15)
-    assert poses_of(source)[1].tobytes() == poses_of(source)[1].tobytes()
+    found = poses_of(source)[1]
+    assert found.tobytes() == poses_of(source)[1].tobytes()
+    for raw, pose in zip(source.frames(), found[:3], strict=False):
+        frame = raw.decode()
+        assert (frame.index, frame.stamp_ns, raw.is_posed) == (raw.index, raw.stamp_ns, True)
+        np.testing.assert_array_equal(frame.world_from_camera, raw.world_from_camera)
+        np.testing.assert_array_equal(frame.world_from_camera, pose)
+    assert dict(source.info.streams)["pose"] == "odometry: small_gicp on depth"
 
 
 def test_with_poses_in_the_log_the_world_is_theirs():
@@ -112,10 +108,8 @@ def swept_log(folder, *, lidar_frame="lidar", with_odometry=False, hall=HALL):
     mount = m.tf(0, ("base_link", "lidar", BODY_FROM_LIDAR))
     messages.append(scenes.Message(topic="/tf_static", stamp_ns=scenes.START_NS - 190_000_000, message=mount))
     rng = np.random.default_rng(5)
-    fields = [
-        m.make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)
-        for i, name in enumerate("xyz")
-    ]
+    axes = ({"name": name, "offset": 4 * i, "datatype": 7, "count": 1} for i, name in enumerate("xyz"))
+    fields = [m.make("sensor_msgs/msg/PointField", **axis) for axis in axes]
     for frame in frames:
         # Between the images: poses have to be interpolated.
         stamp_ns = frame.stamp_ns - 30_000_000
@@ -160,11 +154,6 @@ def test_camera_axes_turn_the_link_to_the_lidar_too(tmp_path):
     axes = from_rotation_translation(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
     for before, after in zip(plain, turned, strict=True):
         np.testing.assert_allclose(after, before @ axes, atol=1e-3)
-
-
-def test_camera_axes_and_estimated_extrinsics_exclude_each_other(tmp_path):
-    profile = tmp_path / "axes.toml"
-    profile.write_text('base = "zed"\ncamera_axes = "-y -z x"\n')
     with pytest.raises(CalibrationError, match="found camera_axes in the profile with --extrinsics estimate"):
         open_source(DEMO, SourceOptions(extrinsics="estimate", profile=str(profile)))
 
@@ -180,14 +169,11 @@ def test_a_frame_says_what_the_scans_left_open(tmp_path):
     assert np.array_equal(seen.event(last).degenerate, last.degenerate)
 
 
-def test_an_unconnected_lidar_is_not_used_for_poses(tmp_path):
+def test_an_unconnected_or_missing_lidar_is_not_used_for_poses(tmp_path):
     log = swept_log(tmp_path, lidar_frame="somewhere")
     with pytest.raises(CalibrationError, match="no static transform from the LiDAR's frame somewhere to the camera's"):
         open_source(log, SourceOptions(odometry="lidar"))
     assert dict(open_source(log).info.streams)["pose"] == "odometry: small_gicp on depth"
-
-
-def test_a_log_without_a_lidar_says_so():
     with pytest.raises(RecordingError, match=r"has no LiDAR .*; choose --odometry depth"):
         open_source(DEMO, SourceOptions(odometry="lidar"))
 
@@ -228,22 +214,28 @@ def test_a_stopped_odometry_run_resumes_to_the_same_map(tmp_path):
     assert whole.processor, "odometry rounds as its processor does"
     assert not asyncio.run(run("stopped", stops_at=4)).finished_cleanly
     assert asyncio.run(run("stopped", resumes=True)).digest == whole.digest
-    assert main(["replay", str(tmp_path / "stopped"), "--json"]) == 0
+    answer("replay", tmp_path / "stopped")
 
 
-def test_the_command_writes_tum_and_the_errors(tmp_path, capsys):
-    log = scenes.write_seven_scenes(tmp_path / "log", scenes.make_scene())
-    out = tmp_path / "poses.tum"
-    asked = ["odometry", str(log), "--profile", "registered", "--pose-topic", "none", "-o", str(out)]
-    assert main([*asked, "--truth", str(DEMO), "--json"]) == 2
-    assert "have a true one within 10 ms" in json.loads(capsys.readouterr().out)["message"]
-    assert main([*asked, "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["poses"], said["lost"], said["error"]) == (scenes.NUM_FRAMES, 0, None)
+def test_the_command_writes_tum_and_the_errors(tmp_path):
+    log, out = scenes.write_seven_scenes(tmp_path / "log", scenes.make_scene()), tmp_path / "poses.tum"
+    asked = ("odometry", log, "--profile", "registered", "--pose-topic", "none", "-o", out)
+    assert "have a true one within 10 ms" in answer(*asked, "--truth", DEMO, status=2)["message"]
+    told = answer(*asked)
+    assert (told["poses"], told["lost"], told["error"]) == (scenes.NUM_FRAMES, 0, None)
     rows = np.loadtxt(out)
     assert rows.shape == (scenes.NUM_FRAMES, 8)
     np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=1e-6)
-    assert main([*asked, "--overwrite"]) == 0
-    assert capsys.readouterr().out.count(out.name) == 1
-    assert main(["odometry", str(log), "--profile", "registered", "--odometry", "topic", "--truth", str(out)]) == 0
-    assert "6 poses on a path of" in capsys.readouterr().out
+    assert said(*asked, "--overwrite").count(out.name) == 1
+    by_topic = ("odometry", log, "--profile", "registered", "--odometry", "topic", "--truth", out)
+    assert "6 poses on a path of" in said(*by_topic)
+
+
+def test_the_first_frames_of_a_log_are_those_of_the_log():
+    stamps = [raw.stamp_ns for raw in open_source(DEMO).frames()]
+    source = FirstFrames(open_source(DEMO), 5)
+    for _ in range(2):
+        assert [raw.stamp_ns for raw in source.frames()] == stamps[:5]
+    assert source.info.num_frames == 5
+    with pytest.raises(ValueError, match="first 0"):
+        FirstFrames(open_source(DEMO), 0)

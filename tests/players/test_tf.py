@@ -15,30 +15,26 @@ def _static(parent, child, parent_from_child):
 
 
 def _at(tree, target, source, stamp_ns=0):
-    pose = tree.chain(target, source).at(stamp_ns)
-    assert pose is not None
-    return pose
+    return tree.chain(target, source).at(stamp_ns)
 
 
 @given(transforms, transforms, transforms)
-def test_a_chain_composes_the_links_between_two_branches_and_its_inverse_leads_back(a, b, c):
+def test_a_chain_composes_links_and_its_inverse_leads_back(a, b, c):
     tree = FrameTree([_static("base", "mast", a), _static("mast", "camera", b), _static("base", "lidar", c)])
     np.testing.assert_allclose(_at(tree, "lidar", "camera"), invert(c) @ a @ b, atol=1e-9)
     np.testing.assert_allclose(_at(tree, "camera", "lidar"), invert(a @ b) @ c, atol=1e-9)
 
 
-def test_a_frame_needs_no_link_to_itself():
+def test_a_frame_is_its_own_trees_are_apart_and_a_loop_ends():
     np.testing.assert_array_equal(_at(FrameTree([]), "camera", "camera"), np.eye(4))
-
-
-def test_frames_of_two_trees_are_not_connected():
     tree = FrameTree([_static("base", "camera", np.eye(4)), _static("world", "robot", np.eye(4))])
     assert tree.chain("world", "camera") is None
+    tree = FrameTree([_static("a", "b", np.eye(4)), _static("b", "a", np.eye(4))])
+    assert tree.ancestors("a") == ["a", "b"]
 
 
 def test_a_moving_link_is_interpolated_and_ends_with_its_track():
     track = track_of([0, 100_000_000], [[0, 0, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 0, 1]], 500_000_000)
-    assert track is not None
     tree = FrameTree([Edge(parent="odom", child="base", parent_from_child=track), _static("base", "camera", np.eye(4))])
     chain = tree.chain("odom", "camera")
     assert not chain.is_static
@@ -46,14 +42,8 @@ def test_a_moving_link_is_interpolated_and_ends_with_its_track():
     assert chain.at(200_000_000) is None
 
 
-def test_a_loop_in_the_tree_does_not_hang():
-    tree = FrameTree([_static("a", "b", np.eye(4)), _static("b", "a", np.eye(4))])
-    assert tree.ancestors("a") == ["a", "b"]
-
-
 def test_of_two_parents_the_static_one_is_kept():
     track = track_of([0, 1], [[0, 0, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 0, 1]], 1)
-    assert track is not None
     moving = Edge(parent="odom", child="camera", parent_from_child=track)
     for edges in ([moving, _static("mast", "camera", np.eye(4))], [_static("mast", "camera", np.eye(4)), moving]):
         assert FrameTree(edges).ancestors("camera") == ["camera", "mast"]
