@@ -11,55 +11,38 @@ from tests.player_scenes import CAMERA, OPTICAL_FROM_FLU, make_scene
 
 PUBLISHED = {
     "Camera": {
-        "open": ("py_init",),
-        "close": (),
-        "grab": ("py_runtime",),
+        "open": ("py_init",), "close": (), "grab": ("py_runtime",), "get_position": ("py_pose", "reference_frame"),
         "retrieve_image": ("py_mat", "view", "mem_type", "resolution"),
         "retrieve_measure": ("py_mat", "measure", "mem_type", "resolution"),
-        "get_position": ("py_pose", "reference_frame"),
-        "get_timestamp": ("time_reference",),
-        "get_frame_dropped_count": (),
-        "get_camera_information": ("resizer",),
-        "enable_positional_tracking": ("py_tracking",),
-        "get_sdk_version": (),
+        "get_timestamp": ("time_reference",), "get_frame_dropped_count": (), "get_camera_information": ("resizer",),
+        "enable_positional_tracking": ("py_tracking",), "get_sdk_version": (),
     },
     "InitParameters": {
-        "set_from_serial_number": ("serial_number", "bus_type"),
-        "set_from_stream": ("sender_ip", "port"),
-        "set_from_svo_file": ("svo_input_filename",),
-        "coordinate_units": None,
-        "coordinate_system": None,
+        "set_from_serial_number": ("serial_number", "bus_type"), "set_from_stream": ("sender_ip", "port"),
+        "set_from_svo_file": ("svo_input_filename",), "coordinate_units": None, "coordinate_system": None,
         "svo_real_time_mode": None,
     },
-    "PositionalTrackingParameters": {"enable_area_memory": None},
-    "RuntimeParameters": {},
-    "Mat": {"get_data": ("memory_type", "deep_copy")},
-    "Pose": {"pose_data": ("pose_data",)},
-    "Transform": {"m": None},
+    "PositionalTrackingParameters": {"enable_area_memory": None}, "RuntimeParameters": {},
+    "Mat": {"get_data": ("memory_type", "deep_copy")}, "Pose": {"pose_data": ("pose_data",)}, "Transform": {"m": None},
     "Timestamp": {"get_nanoseconds": ()},
-    "UNIT": dict.fromkeys(("MILLIMETER", "CENTIMETER", "METER", "INCH", "FOOT")),
-    "COORDINATE_SYSTEM": dict.fromkeys(("IMAGE", "RIGHT_HANDED_Z_UP_X_FWD")),
-    "VIEW": dict.fromkeys(("LEFT", "RIGHT")),
-    "MEASURE": dict.fromkeys(("DISPARITY", "DEPTH")),
-    "REFERENCE_FRAME": dict.fromkeys(("WORLD", "CAMERA")),
-    "TIME_REFERENCE": dict.fromkeys(("IMAGE", "CURRENT")),
-    "POSITIONAL_TRACKING_STATE": dict.fromkeys(("SEARCHING", "OK", "OFF", "FPS_TOO_LOW", "UNAVAILABLE")),
-    "ERROR_CODE": dict.fromkeys(
-        ("CORRUPTED_FRAME", "CAMERA_REBOOTING", "SUCCESS", "FAILURE", "CAMERA_NOT_DETECTED", "END_OF_SVOFILE_REACHED")
-    ),
-}
-
-
-def _enum(name):
-    return enum.Enum(name, list(PUBLISHED[name]))
+    **{
+        name: dict.fromkeys(members.split())
+        for name, members in {
+            "UNIT": "MILLIMETER CENTIMETER METER INCH FOOT", "COORDINATE_SYSTEM": "IMAGE RIGHT_HANDED_Z_UP_X_FWD",
+            "VIEW": "LEFT RIGHT", "MEASURE": "DISPARITY DEPTH", "REFERENCE_FRAME": "WORLD CAMERA",
+            "TIME_REFERENCE": "IMAGE CURRENT",
+            "POSITIONAL_TRACKING_STATE": "SEARCHING OK OFF FPS_TOO_LOW UNAVAILABLE",
+            "ERROR_CODE": "CORRUPTED_FRAME CAMERA_REBOOTING SUCCESS FAILURE CAMERA_NOT_DETECTED END_OF_SVOFILE_REACHED",
+        }.items()
+    },
+}  # fmt: skip
 
 
 def fake_sl(*, open_fails=0, lost_at=(), corrupted_at=-1, num_frames=6):
     """Return the module: cameras of it fail to open so many times, do not track some frames, and have a torn one."""
-    sl = SimpleNamespace(**{name: _enum(name) for name in PUBLISHED if name.isupper()})
+    sl = SimpleNamespace(**{name: enum.Enum(name, list(PUBLISHED[name])) for name in PUBLISHED if name.isupper()})
     scene = make_scene(num_frames=num_frames)
-    sl.opened = []
-    fails = iter(range(open_fails))
+    sl.opened, fails = [], iter(range(open_fails))
 
     class Transform:
         m = np.eye(4)
@@ -72,15 +55,13 @@ def fake_sl(*, open_fails=0, lost_at=(), corrupted_at=-1, num_frames=6):
             return self._stamp_ns
 
     class Mat:
-        def __init__(self):
-            self._pixels = np.zeros((0, 0))
+        _pixels = np.zeros((0, 0))
 
         def get_data(self, memory_type=None, deep_copy=False):
             return self._pixels
 
     class Pose:
-        def __init__(self):
-            self._world_from_camera = np.eye(4)
+        _world_from_camera = np.eye(4)
 
         def pose_data(self, pose_data):
             pose_data.m = self._world_from_camera.astype(np.float32)
@@ -90,9 +71,7 @@ def fake_sl(*, open_fails=0, lost_at=(), corrupted_at=-1, num_frames=6):
         coordinate_units = sl.UNIT.MILLIMETER
         coordinate_system = sl.COORDINATE_SYSTEM.IMAGE
         svo_real_time_mode = True
-
-        def __init__(self):
-            self._input = ()
+        _input = ()
 
         def set_from_serial_number(self, serial_number, bus_type=None):
             self._input = ("serial", serial_number)
@@ -110,9 +89,8 @@ def fake_sl(*, open_fails=0, lost_at=(), corrupted_at=-1, num_frames=6):
         pass
 
     class Camera:
-        def __init__(self):
-            self._at = -1
-            self._settings = None
+        _at = -1
+        _settings = None
 
         def open(self, py_init=None):
             if next(fails, None) is not None:
@@ -175,7 +153,15 @@ def fake_sl(*, open_fails=0, lost_at=(), corrupted_at=-1, num_frames=6):
         def _frame(self):
             return scene[self._at]
 
-    for made in (Transform, Timestamp, Mat, Pose, InitParameters, PositionalTrackingParameters, RuntimeParameters):
+    for made in (
+        Transform,
+        Timestamp,
+        Mat,
+        Pose,
+        InitParameters,
+        PositionalTrackingParameters,
+        RuntimeParameters,
+        Camera,
+    ):
         setattr(sl, made.__name__, made)
-    sl.Camera = Camera
     return sl

@@ -29,9 +29,9 @@ def eventually(condition, timeout_s=10.0):
     return True
 
 
-def scene_log(path, num_frames=6):
+def scene_log(path, num_frames=6, **settings):
     m = Messages(2)
-    return write_mcap(path, m, scene_messages(m, make_scene(num_frames=num_frames), png_images))
+    return write_mcap(path, m, scene_messages(m, make_scene(num_frames=num_frames), png_images), **settings)
 
 
 @dataclass(kw_only=True)

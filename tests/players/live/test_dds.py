@@ -21,14 +21,11 @@ cyclone = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="needs the 
 DOMAIN = 20 + os.getpid() % 150
 
 
-def test_types_have_their_names_on_the_wire():
+def test_types_have_wire_names_and_only_named_peers_are_heard():
     assert dds_type("sensor_msgs/msg/Image") == "sensor_msgs::msg::dds_::Image_"
     assert ros_type("sensor_msgs::msg::dds_::Image_") == "sensor_msgs/msg/Image"
     for other in ("std_srvs::srv::dds_::Empty_Request_", "ParticipantEntitiesInfo_", "a::msg::dds_::B"):
         assert ros_type(other) is None
-
-
-def test_only_the_named_interface_and_peers_are_spoken_to():
     made = settings("eth0", ("192.168.123.161",))
     assert '<NetworkInterface name="eth0" multicast="false"/>' in made
     assert "<AllowMulticast>false</AllowMulticast>" in made
@@ -37,15 +34,12 @@ def test_only_the_named_interface_and_peers_are_spoken_to():
 
 
 @cyclone
-@pytest.mark.parametrize(
-    ("uri", "text"),
-    [
-        ("dds://robot", r"found dds://robot, expected dds://\[DOMAIN\]"),
-        ("dds://500", "with a DOMAIN of 0 to 232"),
-        ("dds://0?peers=10.0.0.1", "expected dds://"),
-        ("dds://0?interface=eth0", "names an interface and no peer: name the robot"),
-    ],
-)
+@pytest.mark.parametrize(("uri", "text"), [
+    ("dds://robot", r"found dds://robot, expected dds://\[DOMAIN\]"),
+    ("dds://500", "with a DOMAIN of 0 to 232"),
+    ("dds://0?peers=10.0.0.1", "expected dds://"),
+    ("dds://0?interface=eth0", "names an interface and no peer: name the robot"),
+])  # fmt: skip
 def test_an_address_that_is_none_is_refused(uri, text):
     with pytest.raises(RecordingError, match=text):
         route_of(uri)

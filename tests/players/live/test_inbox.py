@@ -6,8 +6,8 @@ from players.live.status import status_of, status_table
 from players.live.transport import Health
 from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
 
-IMAGE_TOPIC = next(packet.topic for packet in scene_packets() if packet.topic.name.endswith("rect/compressed"))
-POSE_TOPIC = next(packet.topic for packet in scene_packets() if packet.topic.name == "/odom")
+TOPICS = {packet.topic.name: packet.topic for packet in scene_packets()}
+IMAGE_TOPIC, POSE_TOPIC = TOPICS["/cam/color/image_rect/compressed"], TOPICS["/odom"]
 
 
 class Clock:
@@ -37,10 +37,8 @@ def test_messages_come_out_in_the_order_in_which_they_came():
         inbox.announce(packet.topic)
         inbox.put(packet.topic.name, packet.data)
     inbox.close()
-    taken = []
-    while not inbox.is_over:
-        taken.append(inbox.take(0).data)
-    assert taken == [packet.data for packet in scene_packets()]
+    assert [inbox.take(0).data for _ in scene_packets()] == [packet.data for packet in scene_packets()]
+    assert inbox.is_over
 
 
 def test_a_route_that_can_wait_loses_nothing():
@@ -78,8 +76,7 @@ def test_the_status_says_rates_ages_and_what_is_wrong():
     inbox = Inbox(clock)
     route = ScriptedRoute()
     route.start(inbox)
-    tf = next(packet.topic for packet in scene_packets() if packet.topic.name == "/tf_static")
-    for topic in (IMAGE_TOPIC, tf):
+    for topic in (IMAGE_TOPIC, TOPICS["/tf_static"]):
         inbox.announce(topic)
     for _ in range(60):
         inbox.put(IMAGE_TOPIC.name, bytes(1000))

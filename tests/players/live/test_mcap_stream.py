@@ -6,14 +6,13 @@ from hickory_stream.errors import RecordingError
 from players.live import open_live
 from players.live.routes import is_live
 from players.opening import open_source
-from tests.player_scenes import NUM_FRAMES, Messages, make_scene, png_images, scene_messages, write_mcap
+from tests.player_scenes import NUM_FRAMES
+from tests.players.live.robot_fixtures import scene_log
 
 
 @pytest.fixture(scope="module")
-def scene_log(tmp_path_factory):
-    m = Messages(2)
-    path = tmp_path_factory.mktemp("stream") / "scene.mcap"
-    return write_mcap(path, m, scene_messages(m, make_scene(), png_images), chunk_size=4000)
+def log(tmp_path_factory):
+    return scene_log(tmp_path_factory.mktemp("stream") / "scene.mcap", chunk_size=4000)
 
 
 def write_in_thread(path, data):
@@ -28,23 +27,22 @@ def write_in_thread(path, data):
     return thread
 
 
-def test_a_pipe_is_mapped_until_its_writer_ends(scene_log, tmp_path):
+def test_a_pipe_is_mapped_until_its_writer_ends(log, tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    writer = write_in_thread(pipe, scene_log.read_bytes())
+    writer = write_in_thread(pipe, log.read_bytes())
     source = open_live(f"mcap:{pipe}", attempt_s=0.3)
     stamps = [frame.stamp_ns for frame in source.frames()]
     writer.join(5.0)
-    assert stamps == [frame.stamp_ns for frame in open_source(scene_log).frames()]
-    assert source.account().as_dict()["difference"] == 0
-    assert source.account().as_dict()["declared"] == sum(
-        topic.num_messages or 0 for topic in open_source(scene_log)._log.topics
-    )
+    assert stamps == [frame.stamp_ns for frame in open_source(log).frames()]
+    account = source.account().as_dict()
+    assert account["difference"] == 0
+    assert account["declared"] == sum(topic.num_messages or 0 for topic in open_source(log)._log.topics)
     source.close()
 
 
-def test_a_file_that_grows_is_followed_beyond_its_end(scene_log, tmp_path):
-    data = scene_log.read_bytes()
+def test_a_file_that_grows_is_followed_beyond_its_end(log, tmp_path):
+    data = log.read_bytes()
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) // 2])
     source = open_live(f"mcap:{path}", attempt_s=0.3)
@@ -57,22 +55,19 @@ def test_a_file_that_grows_is_followed_beyond_its_end(scene_log, tmp_path):
     source.close()
 
 
-def test_standard_input_is_read(scene_log, monkeypatch):
-    with scene_log.open("rb") as stream:
+def test_standard_input_is_read(log, monkeypatch):
+    with log.open("rb") as stream:
         monkeypatch.setattr(sys, "stdin", stream)
         source = open_live("-", attempt_s=0.3)
         assert len(list(source.frames())) == NUM_FRAMES
         source.close()
 
 
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [
-        (b"GET / HTTP/1.1\r\n\r\n", "begins with 47 45 54 20 .* expected an MCAP stream"),
-        (b"\x89MCAP0\r\n" + b"\x05" + (1 << 40).to_bytes(8, "little") + bytes(100), "holds no record .*1099511627776"),
-        (b"\x89MCAP0\r\n", "announced no topics; the stream has ended"),
-    ],
-)
+@pytest.mark.parametrize(("content", "told"), [
+    (b"GET / HTTP/1.1\r\n\r\n", "begins with 47 45 54 20 .* expected an MCAP stream"),
+    (b"\x89MCAP0\r\n" + b"\x05" + (1 << 40).to_bytes(8, "little") + bytes(100), "holds no record .*1099511627776"),
+    (b"\x89MCAP0\r\n", "announced no topics; the stream has ended"),
+])  # fmt: skip
 def test_what_is_no_mcap_ends_in_one_line(content, told, tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -81,13 +76,18 @@ def test_what_is_no_mcap_ends_in_one_line(content, told, tmp_path):
         open_live(f"mcap:{pipe}", attempt_s=0.3)
 
 
-def test_an_address_that_names_nothing_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match="no such file or pipe, expected a pipe"):
-        open_live(f"mcap:{tmp_path / 'none'}")
-    with pytest.raises(RecordingError, match="a folder, expected"):
-        open_live(f"mcap:{tmp_path}")
-    with pytest.raises(RecordingError, match="found gopher://robot, expected one of zenoh://HOST"):
-        open_live("gopher://robot")
-    assert [is_live(uri) for uri in ("-", "mcap:x", "zenoh://b2", "log.mcap", str(tmp_path))] == [True] * 3 + [
-        False
-    ] * 2
+@pytest.mark.parametrize(("uri", "told"), [
+    ("mcap:none.mcap", "no such file or pipe, expected a pipe"),
+    ("mcap:.", "a folder, expected"),
+    ("gopher://robot", "found gopher://robot, expected one of zenoh://HOST"),
+    *((f"foxglove://robot{end}", "expected foxglove://HOST") for end in (":0", ":port", "/x")),
+    *((f"zenoh://robot:{port}", "expected zenoh://HOST") for port in ("0", "port", "99999")),
+])  # fmt: skip
+def test_an_address_that_names_nothing_is_refused(uri, told):
+    with pytest.raises(RecordingError, match=told):
+        open_live(uri, patience_s=0.1)
+
+
+def test_addresses_are_told_from_files(tmp_path):
+    assert all(is_live(uri) for uri in ("-", "mcap:x", "zenoh://b2"))
+    assert not any(is_live(uri) for uri in ("log.mcap", str(tmp_path)))

@@ -86,5 +86,4 @@ def test_a_full_or_slow_disk_affects_the_recording_only(tmp_path):
 
 
 def _message(packet):
-
     return LogMessage(packet.topic.name, packet.stamp_ns, packet.data)

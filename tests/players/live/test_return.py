@@ -50,16 +50,22 @@ def listening(uri, robot, log):
         away()
 
 
+@contextmanager
+def shown(source, **options):
+    """A sink of a robot that was shown a map."""
+    sink = PublishSink(load_robot("point"), source.return_link, odom_frame=source.odom_frame, **options)
+    sink.show(report(snapshot()))
+    yield sink
+    sink.close()
+
+
 @pytest.mark.parametrize("route", ROUTES)
 def test_all_that_is_published_arrives_and_a_goal_is_answered(route, tmp_path):
     uri, robot = publisher_of(route, f"127.0.0.1:{free_port()}")
-    with listening(uri, robot, scene_log(tmp_path / "log.mcap")) as (source, _):
-        sink = PublishSink(load_robot("point"), source.return_link, odom_frame=source.odom_frame)
-        sink.show(report(snapshot()))
+    with listening(uri, robot, scene_log(tmp_path / "log.mcap")) as (source, _), shown(source) as sink:
         assert eventually(lambda: all(robot.heard.counts[name] for name in WHOLE)), robot.heard.counts
         robot.ask(goal_message(0, np.array([5.5, 3.0])))
         assert eventually(lambda: bool(robot.heard.round_trips_s)), sink.counts()
-        sink.close()
     path = store().deserialize_cdr(robot.heard.last[PLAN_TOPIC], PATH)
     assert (path.poses[-1].pose.position.x, path.poses[-1].pose.position.y) == (5.5, 3.0)
     transform = store().deserialize_cdr(robot.heard.last[TF_TOPIC], TRANSFORMS).transforms[0]
@@ -74,25 +80,21 @@ def test_a_returned_robot_gets_what_is_latched(route, tmp_path):
     place = f"127.0.0.1:{free_port()}"
     uri, robot = publisher_of(route, place)
     log = scene_log(tmp_path / "log.mcap")
-    with listening(uri, robot, log) as (source, away):
-        sink = PublishSink(load_robot("point"), source.return_link, odom_frame="odom")
-        sink.show(report(snapshot()))
+    with listening(uri, robot, log) as (source, away), shown(source):
         assert eventually(lambda: all(robot.heard.counts[name] for name in WHOLE))
         away()
         _, returned = publisher_of(route, place)
         returned.connect({due.topic.name: due.topic for due in prepared([log])}.values())
         assert eventually(lambda: all(returned.heard.counts[name] for name in LATCHED)), returned.heard.counts
-        sink.close()
-        returned.disconnect()
+    returned.disconnect()
 
 
 def test_a_server_that_takes_nothing_is_named(tmp_path):
     place = f"127.0.0.1:{free_port()}"
     robot = FoxglovePublisher(place, takes=False)
     with listening(f"foxglove://{place}", robot, scene_log(tmp_path / "log.mcap")) as (source, _):
-        sink = PublishSink(load_robot("point"), source.return_link, odom_frame="odom", parts=("tf",))
-        sink.show(report(snapshot()))
-        sink.close()
+        with shown(source, parts=("tf",)) as sink:
+            pass
         assert "takes no messages of ROS 2" in source.status().problem
     assert sink.counts()["topics"] == {TF_TOPIC: {"unheard": 1}}
 
@@ -117,12 +119,8 @@ def test_our_topics_are_publishers_to_nodes_of_rmw_zenoh(tmp_path):
         status = source.status()
     (ours,) = {token for token in tokens if "hickory_stream/%map/" in token}
     found = publication_of_token(ours)
-    assert (found.name, found.type_name, found.domain, found.is_latched) == (
-        "/map",
-        "nav_msgs/msg/OccupancyGrid",
-        "7",
-        True,
-    )
+    expected = ("/map", "nav_msgs/msg/OccupancyGrid", "7", True)
+    assert (found.name, found.type_name, found.domain, found.is_latched) == expected
     assert publication_of_key(f"7/map/nav_msgs::msg::dds_::OccupancyGrid_/{found.hash}") is not None
     assert MAP_TOPIC not in [entry.topic for entry in status.topics]
 
