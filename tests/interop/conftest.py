@@ -1,7 +1,5 @@
 """Fixtures of the tests against implementations by others."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

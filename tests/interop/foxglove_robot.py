@@ -1,7 +1,5 @@
 """A robot that serves a log (MCAP of ROS 2) through the Foxglove SDK's server, and prints the topics it is sent."""
 
-from __future__ import annotations
-
 import sys
 import time
 import foxglove
@@ -31,12 +29,9 @@ def main(path, port, seconds):
     """Play the log again and again; what is latched with every message of the first second."""
     listener = Listener()
     server = foxglove.start_server(
-        host="127.0.0.1",
-        port=port,
-        capabilities=[Capability.ClientPublish],
-        supported_encodings=["cdr"],
+        host="127.0.0.1", port=port, capabilities=[Capability.ClientPublish], supported_encodings=["cdr"],
         server_listener=listener,
-    )
+    )  # fmt: skip
     with open(path, "rb") as stream:  # noqa: PTH123 - nothing of this project, and as short as can be
         messages = [(schema, channel, message) for schema, channel, message in make_reader(stream).iter_messages()]
     channels = {}

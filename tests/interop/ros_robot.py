@@ -3,8 +3,6 @@
 Its interpreter needs `ros-rclpy[fastrtps]`, `ros-sensor-msgs` and `ros-nav-msgs`, and nothing of this project.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 import numpy as np

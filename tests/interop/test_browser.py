@@ -4,8 +4,6 @@ The viewer, opened after the run, shows the whole map at its end. The pictures a
 (`--basetemp`), to be looked at.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import shutil
@@ -13,7 +11,6 @@ import subprocess
 import urllib.request
 from contextlib import ExitStack
 from itertools import pairwise
-from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import psutil
@@ -26,9 +23,6 @@ from hickory_stream.sinks.rerun.viewer import parse_viewer
 from tests.cli.test_cli import look
 from tests.players.live.robot_fixtures import eventually
 from tests.sinks.report_fixtures import boxes, reports
-
-if TYPE_CHECKING:
-    pass
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(240)]
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")

@@ -1,11 +1,8 @@
 """The Foxglove SDK's own server is mapped, and told what the map knows."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from threading import Thread
-from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from hickory_stream.navigation.robot import load_robot
@@ -15,9 +12,6 @@ from tests.navigation.rooms import snapshot
 from tests.player_scenes import make_scene
 from tests.players.live.robot_fixtures import eventually, free_port, scene_log
 from tests.sinks.test_publish_sink import report
-
-if TYPE_CHECKING:
-    pass
 
 pytestmark = pytest.mark.interop
 

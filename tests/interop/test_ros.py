@@ -1,11 +1,8 @@
 """Real ROS 2 (rclpy on Fast DDS) is mapped over DDS: what its nodes publish arrives as it was."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from threading import Thread
-from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import quaternion_from_rotation
@@ -13,9 +10,6 @@ from players.live import open_live
 from tests.interop.scene_file import scene_file
 from tests.player_scenes import make_scene
 from tests.players.live.robot_fixtures import eventually
-
-if TYPE_CHECKING:
-    pass
 
 pytestmark = pytest.mark.interop
 DOMAIN = 20 + os.getpid() % 150
