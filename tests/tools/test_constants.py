@@ -6,12 +6,16 @@ from tools.benchmarks.perception.constants import NOT_DECIDING, Constant, consta
 PRODUCT = ROOT / "hickory_stream"
 
 
-def test_numbers_of_configuration_and_modules_are_found_once():
+def test_numbers_are_found_once_and_networks_do_not_decide():
     found = {constant.name: constant.value for constant in constants()}
     assert len(found) == len(constants())
     assert found["mapping.merge.min_together_s"] == MapperConfig().mapping.merge.min_together_s
     assert found["mapping/merging.py:_COVERS_SHARE"] == merging._COVERS_SHARE
     assert not any(isinstance(value, bool) for value in found.values())
+    assert Constant(name="perception.geometric.min_iou", value=0.5).decides
+    assert not Constant(name="perception.fastsam.min_iou", value=0.5).decides
+    assert any(text.startswith("perception/surface.py:") for text in inline_numbers())
+    assert not any("models" in constant.name for constant in constants())
 
 
 def test_every_reason_to_leave_a_number_out_applies():
@@ -20,10 +24,3 @@ def test_every_reason_to_leave_a_number_out_applies():
         f"{package}/{path.name}" for package in ("mapping", "perception") for path in (PRODUCT / package).rglob("*.py")
     ]
     assert [prefix for prefix in NOT_DECIDING if not any(name.startswith(prefix) for name in names)] == []
-
-
-def test_numbers_of_masks_decide_and_those_of_networks_do_not():
-    assert Constant(name="perception.geometric.min_iou", value=0.5).decides
-    assert not Constant(name="perception.fastsam.min_iou", value=0.5).decides
-    assert any(text.startswith("perception/surface.py:") for text in inline_numbers())
-    assert not any("models" in constant.name for constant in constants())

@@ -28,16 +28,22 @@ def lzf_literals(data):
     return b"".join(bytes([len(data[i : i + 32]) - 1]) + data[i : i + 32] for i in range(0, len(data), 32))
 
 
+def write_packed(path, columns, packed):
+    sizes = np.array([len(packed), len(columns)], dtype="<u4").tobytes()
+    path.write_bytes(HEADER.encode() + b"binary_compressed\n" + sizes + packed)
+    return path
+
+
+def columns_of(rows):
+    return b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names)
+
+
 def write(path, form):
     rows = cloud()
     if form == "binary":
         path.write_bytes(HEADER.encode() + b"binary\n" + rows.tobytes())
         return path
-    columns = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names)
-    packed = lzf_literals(columns)
-    sizes = np.array([len(packed), len(columns)], dtype="<u4").tobytes()
-    path.write_bytes(HEADER.encode() + b"binary_compressed\n" + sizes + packed)
-    return path
+    return write_packed(path, columns_of(rows), lzf_literals(columns_of(rows)))
 
 
 @pytest.mark.parametrize("form", ["binary", "binary_compressed"])
@@ -52,8 +58,7 @@ def test_a_cloud_is_a_frame_with_up_from_its_largest_plane(tmp_path, form):
 
 
 def test_references_to_what_was_written_before_are_followed(tmp_path):
-    rows = cloud()
-    columns = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names)
+    columns = columns_of(cloud())
     # The last column repeats four bytes: one literal, then references of 264 bytes four back.
     start = 4 * 4 * WIDTH * HEIGHT
     packed = lzf_literals(columns[: start + 4])
@@ -64,23 +69,18 @@ def test_references_to_what_was_written_before_are_followed(tmp_path):
             length -= 2
         packed += bytes([7 << 5, length - 9, 3]) if length > 8 else bytes([(length - 2) << 5, 3])
         left -= length
-    sizes = np.array([len(packed), len(columns)], dtype="<u4").tobytes()
-    path = tmp_path / "a.pcd"
-    path.write_bytes(HEADER.encode() + b"binary_compressed\n" + sizes + packed)
+    path = write_packed(tmp_path / "a.pcd", columns, packed)
     assert (load_cloud(path).frame.rgb == [0x10, 0x20, 0x30]).all()
 
 
 @pytest.mark.parametrize("cut", [10, 120, len(HEADER) + 30, -50])
-def test_a_damaged_file_is_refused(tmp_path, cut):
+def test_a_damaged_file_or_a_folder_without_clouds_is_refused(tmp_path, cut):
+    with pytest.raises(RecordingError, match="--clouds"):
+        clouds_in(tmp_path)
     path = write(tmp_path / "a.pcd", "binary_compressed")
     path.write_bytes(path.read_bytes()[:cut])
     with pytest.raises(RecordingError, match=r"a\.pcd is no organised PCD"):
         load_cloud(path)
-
-
-def test_a_folder_without_clouds_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match="labelled clouds"):
-        clouds_in(tmp_path)
 
 
 def test_the_real_clouds_have_labelled_things_on_a_level_table(mosd):

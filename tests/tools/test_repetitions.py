@@ -5,7 +5,7 @@ from tools.benchmarks.common.repetitions import CODE, Repetitions, measurement_f
 from tools.benchmarks.logs.damaged_logs import run_cases
 
 
-def test_what_was_added_is_there_for_the_next_process(tmp_path):
+def test_what_was_added_is_there_for_the_next_process_alone(tmp_path):
     kept = Repetitions(tmp_path / "part.jsonl")
     for i in kept.missing(3):
         kept.add(index=i)
@@ -14,6 +14,11 @@ def test_what_was_added_is_there_for_the_next_process(tmp_path):
     again.close()
     assert list(again.missing(3)) == []
     assert again.records == [{"index": 0}, {"index": 1}, {"index": 2}]
+    first = Repetitions(tmp_path / "part.jsonl")
+    with pytest.raises(RuntimeError, match="another process"):
+        Repetitions(tmp_path / "part.jsonl")
+    first.close()
+    assert list(Repetitions(until=0.0).missing(5)) == []
 
 
 def test_a_record_that_was_cut_off_is_made_again(tmp_path):
@@ -24,18 +29,6 @@ def test_a_record_that_was_cut_off_is_made_again(tmp_path):
         kept.add(index=i)
     kept.close()
     assert [json.loads(line) for line in file.read_text().splitlines()] == [{"index": 0}, {"index": 1}]
-
-
-def test_two_processes_are_never_at_one_part(tmp_path):
-    first = Repetitions(tmp_path / "part.jsonl")
-    with pytest.raises(RuntimeError, match="another process"):
-        Repetitions(tmp_path / "part.jsonl")
-    first.close()
-    Repetitions(tmp_path / "part.jsonl").close()
-
-
-def test_no_repetition_is_begun_when_the_time_is_up():
-    assert list(Repetitions(until=0.0).missing(5)) == []
 
 
 def test_other_code_has_another_folder_and_fresh_forgets(tmp_path):
@@ -65,13 +58,10 @@ _HALF = 'import math\n\n\ndef half(x: float) -> float:\n    """Return half."""\n
 _PART = 'PART = "hickory_stream.engine.shape_jobs.worker"\n"""How a worker is started."""\n'
 
 
-def test_a_new_docstring_comment_or_import_is_the_same_code():
+def test_docstrings_comments_imports_and_places_do_not_count():
     rewritten = _HALF.replace("Return half", "Half").replace("x / 2", "x / 2  # exactly").replace("math", "cmath")
     assert definitions_of(_HALF) == definitions_of(rewritten)
     assert definitions_of(_HALF) != definitions_of(_HALF.replace("2", "3"))
-
-
-def test_a_module_that_is_named_as_text_may_move():
     moved = _PART.replace("engine", "engine.shape_jobs").replace("How", "The way in which")
     assert definitions_of(_PART) == definitions_of(moved) != definitions_of(_PART.replace("worker", "pool"))
 

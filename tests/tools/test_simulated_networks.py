@@ -48,15 +48,12 @@ def score(made_by, rung):
     return SimulatedNetwork(made_by, Images(), rung, 0).masks(None)[0][0].score
 
 
-def test_each_rung_has_the_errors_of_the_ones_before(made_by):
+def test_the_first_rung_is_true_and_each_adds_errors(made_by):
     found = {rung: round(score(made_by, rung), 6) for rung in (*LADDER[1:], WITHOUT_HABITS, OTHER_RATES)}
     assert found == {
         "outlines": 0, "parts": 0, "merges": 0, "misses": 0.4, "room": 8.4, "habits": 108.4, "classes": 108.4,
         "no_habits": 8.4, "other_rates": 109.6,
     }  # fmt: skip
-
-
-def test_the_first_rung_has_the_true_masks(made_by):
     masks, _ = SimulatedNetwork(made_by, Images(), LADDER[0], 0).masks(None)
     assert [mask.box_px for mask in masks] == [(4, 0, 8, 100), (8, 0, 12, 100)]
 
