@@ -67,7 +67,7 @@ def test_the_stairs_are_beneath_the_walk_and_free(house):
     assert not caster.is_occluded(np.hstack([eyes[:-1], ways]).astype(np.float32), 1.0).any()
 
 
-def test_several_processes_make_the_same_frames():
+def test_several_processes_make_the_same_frames_of_buildings(tmp_path):
     filming = Filming(sensors=SHORT.sensors(), stage=SHORT.stage(), caster=None)
     times_s = [0.0, 4.0, 8.0]
     ours, theirs = list(shots_of(filming, times_s)), list(shots_of(filming, times_s, processes=2))
@@ -76,6 +76,8 @@ def test_several_processes_make_the_same_frames():
         for name in ("rgb", "depth_m", "exact_depth_m", "instances"):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
     assert ours[0].rgb.tobytes() != ours[1].rgb.tobytes()
+    with pytest.raises(ConfigError, match="2 processes for the scene room; expected 1"):
+        make_recording(RecordingConfig(seconds=1.0), tmp_path, "room", processes=2)
 
 
 def test_the_truth_says_what_each_frame_shows(recorded):
@@ -91,8 +93,3 @@ def test_the_truth_says_what_each_frame_shows(recorded):
 def test_a_size_that_is_no_building_is_refused(floors, rooms):
     with pytest.raises(ConfigError, match=f"{floors} floors and {rooms} rooms; expected 1 to 8 floors"):
         BuildingSize(floors=floors, rooms=rooms)
-
-
-def test_other_scenes_are_made_by_one_process(tmp_path):
-    with pytest.raises(ConfigError, match="2 processes for the scene room; expected 1"):
-        make_recording(RecordingConfig(seconds=1.0), tmp_path, "room", processes=2)

@@ -28,13 +28,16 @@ def truths(folder):
     return [load_truth(folder / f"set-{i}.truth") for i in (1, 2, 3)]
 
 
-def test_the_file_of_the_fleet_names_a_log_for_each_robot(folder):
+def test_the_fleet_has_a_log_for_each_robot_with_clocks_apart(folder, truths):
     robots, _ = read_fleet(folder / "set.toml")
     assert [robot.name for robot in robots] == ["robot-1", "robot-2", "robot-3"]
     assert all(Path(uri).is_file() for robot in robots for uri in robot.uris)
+    spans = [(truth.frames[0].stamp_ns, truth.frames[-1].stamp_ns) for truth in truths]
+    for (start, end), (other_start, other_end) in combinations(spans, 2):
+        assert end < other_start or other_end < start
 
 
-def test_every_log_has_the_frame_of_its_own_truth(folder, truths):
+def test_every_log_has_its_own_frame_one_turn_and_shift_apart(folder, truths):
     for i, truth in enumerate(truths, start=1):
         source = open_source(folder / f"set-{i}.mcap")
         poses = [frame.world_from_camera for frame in source.frames()]
@@ -42,9 +45,6 @@ def test_every_log_has_the_frame_of_its_own_truth(folder, truths):
         assert len(poses) == len(truth.frames) == 3
         for pose, true in zip(poses, truth.frames, strict=True):
             assert np.allclose(pose, true.world_from_camera, atol=1e-6)
-
-
-def test_frames_of_robots_differ_by_one_level_turn_and_shift(truths):
     for one, other in combinations(truths, 2):
         found = np.array(
             [a.world_from_object @ invert(b.world_from_object) for a, b in zip(one.objects, other.objects, strict=True)]
@@ -64,28 +64,18 @@ def test_what_a_frame_shows_lies_on_the_true_surfaces(folder):
     known = {item.id: item for item in truth.objects}
     for item_id in np.unique(ids[ids > 0]):
         mine = points[(ids.reshape(-1) == item_id) & np.isfinite(points).all(axis=1)]
-        low, high = bounds_of(apply(known[item_id].world_from_object, mesh_of(truth, known[item_id]).vertices))
+        surface = apply(known[item_id].world_from_object, mesh_of(truth, known[item_id]).vertices)
+        low, high = surface.min(axis=0), surface.max(axis=0)
         if len(mine) > 20:
             assert ((np.median(mine, axis=0) > low - 0.1) & (np.median(mine, axis=0) < high + 0.1)).all()
     floor = min(mesh.vertices[:, 2].max() for mesh in structure_meshes(truth))
     assert abs(np.nanpercentile(points[:, 2], 1) - floor) < 0.1
 
 
-def bounds_of(points):
-    return points.min(axis=0), points.max(axis=0)
-
-
-def test_clocks_are_apart(truths):
-    spans = [(truth.frames[0].stamp_ns, truth.frames[-1].stamp_ns) for truth in truths]
-    for (start, end), (other_start, other_end) in combinations(spans, 2):
-        assert end < other_start or other_end < start
-
-
 def test_the_truth_of_all_has_what_any_robot_has_seen(folder, truths):
     whole = load_truth(folder / "set.truth")
-    assert [item.world_from_object.tolist() for item in whole.objects] == [
-        item.world_from_object.tolist() for item in truths[0].objects
-    ]
+    poses, expected = ([item.world_from_object.tolist() for item in one.objects] for one in (whole, truths[0]))
+    assert poses == expected
     seen = np.array([[item.seen_fraction for item in truth.objects] for truth in truths])
     union = np.array([item.seen_fraction for item in whole.objects])
     assert (union >= seen.max(axis=0)).all()
@@ -104,14 +94,11 @@ def test_a_robots_truth_is_the_same_walk_in_another_frame(tmp_path, truths):
         assert np.allclose(robot_from_world @ frame.world_from_camera, other.world_from_camera)
 
 
-@pytest.mark.parametrize(
-    ("config", "count", "said"),
-    [
-        (SHORT, 1, "found 1 robots, expected 2 to 16"),
-        (SHORT, 17, "found 17 robots"),
-        (replace(SHORT, scene="clutter"), 2, "robot 0 of 2 in the scene clutter"),
-    ],
-)
+@pytest.mark.parametrize(("config", "count", "said"), [
+    (SHORT, 1, "found 1 robots, expected 2 to 16"),
+    (SHORT, 17, "found 17 robots"),
+    (replace(SHORT, scene="clutter"), 2, "robot 0 of 2 in the scene clutter"),
+])  # fmt: skip
 def test_a_fleet_that_cannot_be_made_is_refused(tmp_path, config, count, said):
     with pytest.raises(ConfigError, match=said):
         make_fleet(config, tmp_path, "no", count, caster=None)
