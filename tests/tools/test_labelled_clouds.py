@@ -75,7 +75,7 @@ def test_references_to_what_was_written_before_are_followed(tmp_path):
 
 @pytest.mark.parametrize("cut", [10, 120, len(HEADER) + 30, -50])
 def test_a_damaged_file_or_a_folder_without_clouds_is_refused(tmp_path, cut):
-    with pytest.raises(RecordingError, match="--clouds"):
+    with pytest.raises(RecordingError, match="labelled clouds"):
         clouds_in(tmp_path)
     path = write(tmp_path / "a.pcd", "binary_compressed")
     path.write_bytes(path.read_bytes()[:cut])
