@@ -97,7 +97,7 @@ perception.geometric.structure.raised_patches window_px=5 least_m=0.009 sigmas=3
 perception.geometric.structure.ground cell_m=0.2 level_m2=1.5 gap_m=1 off_plane_m=0.05 off_plane_m2=1
 perception.geometric.fragments step_m=0.008 gap_share=0.025 crease_rad=0.45 crease_reach_px=2 min_pixels=12
 perception.geometric.color_split window_px=5 lightness=0.5 min_step=12 min_separation=0.7 min_pixels=16 depth=2
-perception.geometric.join rounds=12 reach_px=3 gap_m=0.2
+perception.geometric.join rounds=12 reach_px=3 gap_m=0.2 forest=sizes
 perception.geometric.join.bridging gap_m=0.5 tolerance_m=0.006 min_lines=4 min_share=0.12 other_lines=2
 perception.geometric.join.map_prior min_sightings=4 min_share=0.5
 perception.geometric min_side_sigmas=2.5 occluded_area_px=720 occluded_share=0.6 support_area_m2=0.03
@@ -180,13 +180,13 @@ def refusal(key: str, value: Any) -> str | None:
 
 
 @cache
-def fixed_keys() -> Mapping[str, float]:
-    """Return the numbers of the keys that became constants."""
-    found, section = {}, ""
+def fixed_keys() -> Mapping[str, float | str]:
+    """Return the numbers, and names, of the keys that became constants."""
+    found, section = dict[str, float | str](), ""
     for word in _FIXED.split():
         name, is_key, text = word.partition("=")
         if is_key:
-            found[f"{section}.{name}"] = float(text)
+            found[f"{section}.{name}"] = text if text.isalpha() else float(text)
         else:
             section = name
     return found
@@ -200,7 +200,7 @@ def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, An
     found: dict[str, Any] = {}
     for old, value in _leaves(data, where):
         path = _current_name(old)
-        if path in fixed_keys() and isinstance(value, int | float) and value == fixed_keys()[path]:
+        if path in fixed_keys() and value == fixed_keys()[path]:
             continue
         at: Any = found
         *sections, name = path.removeprefix(where).split(".")
