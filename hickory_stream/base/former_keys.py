@@ -19,6 +19,7 @@ _KINDS = "what is large, or a part of the room, is a fixture of the map"
 _EXISTENCE = "new_view_gain same_view_gain min_gain fresh again least apart_rad apart_ratio full_sr".split()
 _TIME = "time of observation counts now, by"
 _SENSOR = "the range is that of the camera, sensor.max_m"
+_NEAREST = "the least depth is that of the camera, sensor.min_m"
 _MASKS = "masks are evidence for joining fragments, whose limits are in perception.geometric"
 _SEEN = "what is filled follows from what was seen around it"
 
@@ -39,7 +40,7 @@ FORMER_KEYS = {
     "mapping.split.min_apart": f"{_TIME} mapping.split.min_apart_s",
     "perception.geometric.surface.max_depth_m": _SENSOR,
     "perception.observe.max_depth_m": _SENSOR,
-    **dict.fromkeys(("perception.observe.min_depth_m", "perception.geometric.surface.min_depth_m"), "set sensor.min_m"),
+    **dict.fromkeys(("perception.observe.min_depth_m", "perception.geometric.surface.min_depth_m"), _NEAREST),
     "perception.space.max_depth_m": "free space reaches as far as depth is sure to a voxel",
     "perception.observe.max_box_m": _KINDS,
     "perception.geometric.max_extent_m": _KINDS,
@@ -89,7 +90,7 @@ registration step_m=0.001 turn_of_metre_deg=0.05 turn_deg=0.05 unseen_share=0.3 
     num_independent=200 first_scale_m=0.06 last_scale_m=0.015 num_iterations=6 least_cosine=0.85 num_patches=12
     num_recent=3 anchor_overlap=0.7 num_covering=3 least_points=300 least_fit=0.35 found_m=0.02 found_deg=1
     lost_keyframes=8
-perception.geometric.surface normal_radius_px=3
+perception.geometric.surface normal_radius_px=3 min_depth_m=0.2
 perception.geometric.structure floor_area_m2=0.25 wall_area_m2=0.45 behind_share=0.02 tolerance_m=0.025 storey_m=2.4
     wall_height_m=2.1 wall_foot_m=1.2 wall_cut_m=1.5 wall_width_m=0.9 furniture_depth_m=0.75 backing_m2=0.15
 perception.geometric.structure.raised_patches window_px=5 least_m=0.009 sigmas=3 min_area_px=24 color_step=12
@@ -105,7 +106,7 @@ perception.geometric min_side_sigmas=2.5 occluded_area_px=720 occluded_share=0.6
 perception.semantic.panoptic mask_threshold=0.5 overlap=0.3
 perception.masks max_share=0.6 structure_share=0.5 duplicate_iou=0.8 inside_share=0.85 stands_out_m=0.008
     flat_area_m2=0.008 visible_share=0.25 occluded_share=0.6 min_area_px=240 max_extent_m=4
-perception.observe agree_sigmas=3 min_neighbors=5 min_returns=24 min_points=12
+perception.observe min_depth_m=0.2 agree_sigmas=3 min_neighbors=5 min_returns=24 min_points=12
 mapping.track sketch_growth=0.3
 mapping.associate settled_sightings=5 swollen_over=0.5 most_doubted=4 patience=3 patience_share=0.2 lies_in=0.2
 mapping.existence new_view_gain=2 same_view_gain=0.7 min_gain=0.5 fresh=2 again=0.7 least=0.5 apart_rad=0.6
