@@ -6,7 +6,6 @@ the units of the depth and in the axes of the image. Each fault is a hypothesis 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -323,28 +322,28 @@ class _Track:
     # Poses of frames, interpolated, and their motions by the lag.
 
     def __init__(self, stamps_ns: NDArray[np.int64], poses: Matrix) -> None:
-        self.stamps_ns, self.poses, self._motions = stamps_ns, poses, dict[float, _Motions]()
+        self.stamps_ns, self.poses, self._motions = stamps_ns, poses, dict[bytes, _Motions]()
         self._times = (stamps_ns - stamps_ns[0]).astype(np.float64)
         self._turns = Slerp(self._times, Rotation.from_matrix(poses[:, :3, :3]))
 
-    def motions(self, ends_ns: NDArray[np.int64], lag_ns: float) -> _Motions:
-        # Turns and shifts (N, 3) between ends (2, N) by the poses of `lag_ns` later, and which of them are known.
-        if lag_ns not in self._motions:
-            self._motions[lag_ns] = self._motions_at(ends_ns, lag_ns)
-        return self._motions[lag_ns]
+    def motions(self, ends_ns: NDArray[np.int64], lags_ns: NDArray[Any]) -> _Motions:
+        # Turns and shifts (L, N, 3) between ends (2, N) by the poses of the lags later, and which of them are known.
+        key = lags_ns.tobytes()
+        if key not in self._motions:
+            self._motions[key] = self._motions_at(ends_ns, lags_ns)
+        return self._motions[key]
 
-    def _motions_at(self, ends_ns: NDArray[np.int64], lag_ns: float) -> _Motions:
-        times = ends_ns - self.stamps_ns[0] + lag_ns
+    def _motions_at(self, ends_ns: NDArray[np.int64], lags_ns: NDArray[Any]) -> _Motions:
+        times = (ends_ns - self.stamps_ns[0])[:, None] + lags_ns[:, None]
         known = (times >= 0) & (times <= self._times[-1])
         after = np.clip(np.searchsorted(self._times, times), 1, len(self._times) - 1)
         known &= self._times[after] - self._times[after - 1] <= _LOST_NS
         times = np.clip(times, 0, self._times[-1])
-        world_from_start, world_from_end = self._turns(times[0]), self._turns(times[1])
-        start, end = (
-            np.stack([np.interp(t, self._times, self.poses[:, i, 3]) for i in range(3)], axis=1) for t in times
-        )
-        back = world_from_start.inv()
-        return (back * world_from_end).as_rotvec(), back.apply(end - start), known.all(axis=0)
+        world_from_start, world_from_end = (self._turns(t.ravel()) for t in times)
+        start, end = (np.stack([np.interp(t, self._times, self.poses[:, i, 3]) for i in range(3)], -1) for t in times)
+        back, shape = world_from_start.inv(), start.shape
+        turns = (back * world_from_end).as_rotvec().reshape(shape)
+        return turns, back.apply((end - start).reshape(-1, 3)).reshape(shape), known.all(axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,23 +364,26 @@ class _Seen:
         self.shifts = np.array([step.before_from_after[:3, 3] for step in steps])
         self.units = np.array([step.depth_m for step in steps])
 
-    def off(self, track: _Track, lag_ns: float, axes: Matrix) -> tuple[NDArray[Any], ...]:
-        # For each step: whether it is known, the differences of turn and shift, their lengths, and the scale.
-        turns, shifts, known = track.motions(self.ends_ns, lag_ns)
+    def off(self, track: _Track, lags_ns: NDArray[Any], axes: Matrix) -> tuple[NDArray[Any], ...]:
+        # (L, N) by lag and step: whether it is known, the differences of turn and shift, their lengths, and the scale.
+        turns, shifts, known = track.motions(self.ends_ns, lags_ns)
         seen_turns, seen_shifts = np.linalg.det(axes) * self.turns @ axes.T, self.shifts @ axes.T
-        moved_m, seen_m = np.linalg.norm(shifts, axis=1), np.linalg.norm(seen_shifts, axis=1)
+        moved_m, seen_m = np.linalg.norm(shifts, axis=-1), np.linalg.norm(seen_shifts, axis=-1)
         has_shift = known & (moved_m > _MOVES_M)
-        scale = max(float(np.median(seen_m[has_shift] / moved_m[has_shift])), 1e-6) if has_shift.any() else 1.0
-        turned = np.maximum(np.linalg.norm(seen_turns, axis=1), np.linalg.norm(turns, axis=1))
-        off_m, off_rad = (
-            np.linalg.norm(shifts - seen_shifts / scale, axis=1),
-            np.linalg.norm(turns - seen_turns, axis=1),
-        )
-        along = np.where(has_shift, (seen_shifts * shifts).sum(axis=1) / np.maximum(moved_m, 1e-9) ** 2, np.nan)
+        # The median ratio of each lag; without any, the scale is 1.
+        ratios = np.sort(np.where(has_shift, seen_m / np.maximum(moved_m, _MOVES_M), np.inf), axis=-1)
+        count = has_shift.sum(axis=-1, keepdims=True)
+        low, high = (np.take_along_axis(ratios, np.maximum(count - i, 0) // 2, axis=-1) for i in (1, 0))
+        scale = np.where(count > 0, np.maximum((low + high) / 2, 1e-6), 1.0)
+        turned = np.maximum(np.linalg.norm(seen_turns, axis=-1), np.linalg.norm(turns, axis=-1))
+        off_m = np.linalg.norm(shifts - seen_shifts / scale[..., None], axis=-1)
+        off_rad = np.linalg.norm(turns - seen_turns, axis=-1)
+        along = np.where(has_shift, (seen_shifts * shifts).sum(axis=-1) / np.maximum(moved_m, 1e-9) ** 2, np.nan)
         return known, off_rad, off_m, turned, np.maximum(moved_m, seen_m / scale), along
 
     def fit(self, track: _Track, lag_ns: float = 0.0, axes: Matrix = np.eye(3)) -> _Fit:  # noqa: B008 # not changed
-        known, off_rad, off_m, turned, longest_m, along = self.off(track, lag_ns, axes)
+        off = self.off(track, np.array([lag_ns]), axes)
+        known, off_rad, off_m, turned, longest_m, along = (values[0] for values in off)
         seen_m = np.linalg.norm(self.shifts, axis=1)
         moving = known & ((turned > _MOVES_RAD) | (longest_m > _MOVES_M) | (seen_m > _MOVES_M * self.units))
         agrees = moving & (off_rad < _OFF_RAD + _OFF_SHARE * turned)
@@ -403,20 +405,17 @@ def _lag_of(seen: _Seen, track: _Track, axes: Matrix) -> tuple[float | None, flo
     # The lag where the motions differ least, and its spread over samples of the steps.
     lags = _COARSE_NS
     for _ in range(2):
-        costs = np.full((len(lags), len(seen.units)), np.nan)
-        for i, lag_ns in enumerate(lags):
-            known, off_rad, off_m, turned, longest_m, _ = seen.off(track, lag_ns, axes)
-            off = np.square(off_rad / (0.004 + 0.05 * turned)) + np.square(off_m / (0.01 + 0.1 * longest_m))
-            costs[i] = np.where(known, np.log1p(off), np.nan)
-        if np.isfinite(costs[len(lags) // 2]).sum() < _LEAST_MOVING:
+        known, off_rad, off_m, turned, longest_m, _ = seen.off(track, lags, axes)
+        off = np.square(off_rad / (0.004 + 0.05 * turned)) + np.square(off_m / (0.01 + 0.1 * longest_m))
+        if known[len(lags) // 2].sum() < _LEAST_MOVING:
             return None, None
-        costs[np.isfinite(costs).sum(axis=1) < max(_LEAST_MOVING, len(seen.units) // 4)] = np.nan
+        known = known & (known.sum(axis=1) >= max(_LEAST_MOVING, len(seen.units) // 4))[:, None]
         rng = np.random.default_rng(0)
         picked = [np.arange(len(seen.units)), *rng.integers(0, len(seen.units), (_RESAMPLES, len(seen.units)))]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)
-            means = [np.nan_to_num(np.nanmean(costs[:, chosen], axis=1), nan=np.inf) for chosen in picked]
-        found = np.array([lags[int(np.argmin(mean))] for mean in means])
+        numbers = known[:, picked].sum(axis=-1)
+        sums = np.where(known, np.log1p(off), 0.0)[:, picked].sum(axis=-1)
+        means = np.divide(sums, numbers, out=np.full(sums.shape, np.inf), where=numbers > 0)
+        found = lags[np.argmin(means, axis=0)]
         if np.std(found) > _MOST_SPREAD_NS:
             return None, None
         lags = found[0] + _FINE_NS
