@@ -56,13 +56,7 @@ def play(
         snapshots = mapper.run(
             source, sinks=sinks, rate=rate, mode=mode, loops=loops, progress=progress, source_note=source_note
         )
-        # The loop shares the interpreter with the threads that compute; it must not wait 5 ms for each of them.
-        interval_s = sys.getswitchinterval()
-        sys.setswitchinterval(0.001)
-        try:
-            return asyncio.run(_play(mapper, snapshots, source))
-        finally:
-            sys.setswitchinterval(interval_s)
+        return asyncio.run(_play(mapper, snapshots, source))
     except asyncio.CancelledError:
         raise KeyboardInterrupt from None
 

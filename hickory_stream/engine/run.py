@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -68,6 +69,8 @@ from hickory_stream.ports import FeatureExtractor, Segmenter, Source, interrupt,
 from hickory_stream.records import Decision, Frame, MapSnapshot
 
 logger = logging.getLogger(__name__)
+
+_SWITCH_S = 0.0005
 
 
 class Run:
@@ -184,6 +187,9 @@ class Run:
         self._compiling = await self._stop.within_grace(compile_kernels(report, in_background=in_background), "compile")
         if self._parts.rehearse is not None and not self._stop.is_requested:
             await on_thread(self._mapping_thread, self._parts.rehearse)
+        # The mapping thread waits some 200 times a keyframe for threads that compute, each time for this long.
+        interval_s = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_S)
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
@@ -212,6 +218,7 @@ class Run:
             self._loops.close()
             self._mapping_thread.shutdown(wait=True)
             self._recorder.close()
+            sys.setswitchinterval(interval_s)
 
     @property
     def _is_source_over(self) -> bool:
