@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -221,6 +222,7 @@ class ClearanceScene:
         self._free_item, self._num_free = first, self._num_free + more
 
 
+@lru_cache(maxsize=256)
 def rows_of(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return (N, ROW) the numbers that the kernels need of each primitive."""
     rows = np.zeros((len(primitives), kernels.ROW))

@@ -18,8 +18,8 @@ from scipy.sparse.csgraph import connected_components
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
-from hickory_stream.geometry.voxels import cells_of_keys
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.geometry.voxels import bounds_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import Cell, GridFrame, Occupancy, distance_field_m, frame_around
@@ -295,14 +295,14 @@ def extent_of(snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> tuple[NDA
     places = [np.empty((0, 2))]
     for submap in snapshot.submaps:
         space = submap.observed_space
-        keys = np.concatenate([space.free, space.structure])
-        if len(keys):
-            cells = cells_of_keys(keys)
-            low, high = cells.min(axis=0) * space.voxel_m, (cells.max(axis=0) + 1) * space.voxel_m
+        ends = [bounds_of_keys(keys) for keys in (space.free, space.structure) if len(keys)]
+        if ends:
+            low = np.min([low for low, _ in ends], axis=0) * space.voxel_m
+            high = (np.max([high for _, high in ends], axis=0) + 1) * space.voxel_m
             corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
             world = corners @ submap.world_from_submap[:3, :3].T + submap.world_from_submap[:3, 3]
             places.append(world[:, :2])
-    bounds = [world_bounds(obstacle.body).reshape(-1, 3)[:, :2] for obstacle in obstacles]
+    bounds = [obstacle.bounds.reshape(-1, 3)[:, :2] for obstacle in obstacles]
     found = np.concatenate([*places, *bounds])
     if len(found) == 0:
         raise InputError("the map is empty: it has neither objects nor observed space to plan in")

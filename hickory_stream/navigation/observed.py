@@ -111,11 +111,12 @@ def rectangles(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
     """Return few rectangles (first, second, first end, second end) that make up a mask: runs, and equal runs joined."""
     found: list[tuple[int, int, int, int]] = []
     open_runs: dict[tuple[int, int], int] = {}
-    for i in range(len(mask) + 1):
-        runs: set[tuple[int, int]] = set()
-        if i < len(mask):
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], mask[i], [False]]).astype(np.int8)))
-            runs = {(int(a), int(b)) for a, b in edges.reshape(-1, 2)}
+    # With an empty row at the end, which ends all runs.
+    edges = np.argwhere(np.diff(np.pad(mask, ((0, 1), (1, 1))).astype(np.int8))).reshape(-1, 2, 2)
+    runs_of: list[set[tuple[int, int]]] = [set() for _ in range(len(mask) + 1)]
+    for (i, a), (_, b) in edges.tolist():
+        runs_of[i].add((a, b))
+    for i, runs in enumerate(runs_of):
         ended = [run for run in open_runs if run not in runs]
         found += [(open_runs.pop(run), run[0], i, run[1]) for run in ended]
         for run in sorted(runs):

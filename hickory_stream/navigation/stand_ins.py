@@ -6,12 +6,15 @@ by least volume. Slabs are not divided vertically, so that the inside of a half-
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import (
@@ -25,6 +28,7 @@ from hickory_stream.geometry.superquadric import (
     world_bounds,
 )
 from hickory_stream.geometry.voxels import (
+    are_near,
     centers_of_keys,
     contains,
     difference,
@@ -48,13 +52,18 @@ _GONE = 2
 """The number of keyframes with free space or structure at a voxel after which it is no longer surface."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True)
 class Obstacle:
     """The space that an object occupies; `is_observed_only`: it is a stand-in, in the absence of a layer 4."""
 
     id: int
     body: Superquadrics
     is_observed_only: bool
+
+    @cached_property
+    def bounds(self) -> NDArray[np.float64]:
+        """The (N, 2, 3) bounds of the primitives in the world."""
+        return world_bounds(self.body)
 
 
 def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
@@ -63,19 +72,20 @@ def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
 
 
 class _Made:
-    # Several sinks ask for the same objects, and most objects do not change.
+    # Several sinks ask for the same objects, and most objects do not change. Their threads wait for one another.
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._last: Mapping[int, tuple[TrackedObject, Obstacle]] = {}
 
     def of(self, objects: Sequence[TrackedObject]) -> list[Obstacle]:
         """Return the obstacles of objects."""
-        known = self._last  # another thread may replace it as a whole
-        found: dict[int, tuple[TrackedObject, Obstacle]] = {}
-        for tracked in objects:
-            before = known.get(tracked.id)
-            is_same = before is not None and before[0] is tracked
-            found[tracked.id] = before if before is not None and is_same else (tracked, _obstacle_of(tracked))
-        self._last = found
+        with self._lock:
+            found: dict[int, tuple[TrackedObject, Obstacle]] = {}
+            for tracked in objects:
+                before = self._last.get(tracked.id)
+                is_same = before is not None and before[0] is tracked
+                found[tracked.id] = before if before is not None and is_same else (tracked, _obstacle_of(tracked))
+            self._last = found
         return [obstacle for _, obstacle in found.values()]
 
 
@@ -114,8 +124,8 @@ def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
 def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
     if len(points) == 0:
         return box
-    local = apply(invert(box.world_from_box), points)
-    return _box_of(box, np.concatenate([local, [-box.half_extents_m, box.half_extents_m]]))
+    (low,), (high,) = _extents(apply(invert(box.world_from_box), points), np.empty(0))
+    return _box_of(box, np.minimum(low, -box.half_extents_m), np.maximum(high, box.half_extents_m))
 
 
 def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> list[OrientedBox]:
@@ -129,13 +139,15 @@ def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> li
         part = parts[-n]
         is_low = part.local[:, 2] <= part.cut_m
         parts[-n : 1 - n or None] = [_Part.of(part.local[side], margin_m) for side in (is_low, ~is_low)]
-    return [box] if len(parts) < 2 else [_box_of(box, part.local) for part in parts]
+    return [box] if len(parts) < 2 else [_box_of(box, part.low, part.high) for part in parts]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Part:
-    # Points (N, 3) in the frame of a box, the volume around them, and the cut into two parts of least volume.
+    # Points (N, 3) in the frame of a box, their extents, the volume around them, and the cut of least volume.
     local: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
     volume_m3: float
     cut_m: float
     saves_m3: float
@@ -144,26 +156,41 @@ class _Part:
     def of(cls, local: NDArray[np.float64], margin_m: float) -> _Part:
         heights = local[:, 2]
         cuts = np.linspace(heights.min(), heights.max(), _CUTS + 2)[1:-1]
-        layers = np.searchsorted(cuts, heights).astype(np.uint8)
-        order = np.argsort(layers, kind="stable")
-        filled, first = np.unique(layers[order], return_index=True)
-        low, high = (side.reduceat(local[order], first, axis=0) for side in (np.minimum, np.maximum))
+        low, high = _extents(local, cuts)
+        filled = np.flatnonzero(low[:, 0] <= high[:, 0])
+        low, high = low[filled], high[filled]
         # Of the layers below and above each border between two that have points.
         below = np.maximum.accumulate(high)[:-1] - np.minimum.accumulate(low)[:-1]
         above = (np.maximum.accumulate(high[::-1]) - np.minimum.accumulate(low[::-1]))[:-1][::-1]
-        volume_m3 = float((high.max(axis=0) - low.min(axis=0) + 2 * margin_m).prod())
+        lowest, highest = low.min(axis=0), high.max(axis=0)
+        volume_m3 = float((highest - lowest + 2 * margin_m).prod())
         saves_m3 = volume_m3 - sum((sides + 2 * margin_m).prod(axis=1) for sides in (below, above))
         best = int(np.argmax(saves_m3)) if len(saves_m3) else -1
         return cls(
             local=local,
+            low=lowest,
+            high=highest,
             volume_m3=volume_m3,
             cut_m=float(cuts[filled[best]]) if best >= 0 else np.inf,
             saves_m3=float(saves_m3[best]) if best >= 0 else 0.0,
         )
 
 
-def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
-    low, high = local.min(axis=0), local.max(axis=0)
+@kernel
+def _extents(local, cuts):
+    # Lowest and highest corners (C + 1, 3) of the points (N, 3) between cuts (C,) of their heights.
+    low, high = np.full((len(cuts) + 1, 3), np.inf), np.full((len(cuts) + 1, 3), -np.inf)
+    for i in range(len(local)):
+        layer = 0
+        while layer < len(cuts) and cuts[layer] < local[i, 2]:
+            layer += 1
+        for k in range(3):
+            low[layer, k] = min(low[layer, k], local[i, k])
+            high[layer, k] = max(high[layer, k], local[i, k])
+    return low, high
+
+
+def _box_of(box: OrientedBox, low: NDArray[np.float64], high: NDArray[np.float64]) -> OrientedBox:
     pose = box.world_from_box.copy()
     pose[:3, 3] = apply(box.world_from_box, (low + high)[None] / 2)[0]
     return OrientedBox(world_from_box=pose, half_extents_m=np.maximum((high - low) / 2, _THINNEST_M))
@@ -174,12 +201,14 @@ def _grown(sketch: Superquadrics, points: NDArray[np.float64], margin_m: float) 
     exponent = float(sketch.exponents[0, 0])
     local = np.abs(apply(invert(sketch.world_from_local[0]), points))
     larger = replace(sketch, semi_axes_m=sketch.semi_axes_m + margin_m, world_from_local=np.eye(4)[None])
-    held = np.concatenate([local + margin_m * axis for axis in np.eye(3)])
-    log_g = float(log_implicit_value(larger, 0, held[::_SAMPLED]).max(initial=0.0))
-    # G of a point is at most that of the corner of the box through it: most are not worth the logarithms.
     most = float(log_implicit_value(larger, 0, larger.semi_axes_m)[0])
-    is_far = (held / larger.semi_axes_m[0]).max(axis=1) >= np.exp((log_g - most) * exponent / 2) * (1 - 1e-9)
-    log_g = max(log_g, float(log_implicit_value(larger, 0, held[is_far]).max(initial=0.0)))
+    reach = np.maximum.reduce([(local[:, k] + margin_m) / larger.semi_axes_m[0, k] for k in range(3)])
+    log_g, some = 0.0, local[::_SAMPLED]
+    for _ in range(2):
+        held = np.concatenate([some + margin_m * axis for axis in np.eye(3)])
+        log_g = float(log_implicit_value(larger, 0, held).max(initial=log_g))
+        # G of a point is at most that of the corner of the box through it: most are not worth the logarithms.
+        some = local[reach >= np.exp((log_g - most) * exponent / 2) * (1 - 1e-9)]
     axes = larger.semi_axes_m * np.exp(log_g * exponent / 2) * (1 + 1e-9)
     return replace(sketch, semi_axes_m=axes)
 
@@ -190,6 +219,8 @@ class SeenSurface:
     def __init__(self) -> None:
         self._seen: dict[int, tuple[NDArray[np.int64], NDArray[np.uint8]]] = {}
         self._voxel_m = 0.0
+        self._lock = threading.Lock()
+        self._last: tuple[tuple[object, ...], NDArray[np.float64]] | None = None
 
     def add(self, seen: SpaceObservation, snapshot: MapSnapshot) -> None:
         """Add the surface seen by a keyframe; `snapshot` is the map after it."""
@@ -199,6 +230,7 @@ class SeenSurface:
 
     def add_to(self, open_id: int, seen: SpaceObservation, voxel_m: float) -> None:
         """Add the surface seen by a keyframe while this submap was open."""
+        self._last = None
         if voxel_m != self._voxel_m:
             self._seen, self._voxel_m = {}, voxel_m
         self._seen.setdefault(open_id, (np.empty(0, np.int64), np.empty(0, np.uint8)))
@@ -225,6 +257,15 @@ class SeenSurface:
         self, snapshot: MapSnapshot, obstacles: Sequence[Obstacle], band: Band, floor_z_m: float
     ) -> NDArray[np.float64]:
         """Return corners (N, 8, 3), in the world, of boxes around surface in the band that belongs to no object."""
+        asked = (snapshot, band.low_m, band.high_m, floor_z_m)
+        with self._lock:
+            if self._last is None or self._last[0] != asked:
+                self._last = asked, self._hulls(snapshot, obstacles, band, floor_z_m)
+            return self._last[1]
+
+    def _hulls(
+        self, snapshot: MapSnapshot, obstacles: Sequence[Obstacle], band: Band, floor_z_m: float
+    ) -> NDArray[np.float64]:
         found = [NO_HULLS]
         for submap in snapshot.submaps:
             if submap.id not in self._seen:
@@ -249,16 +290,19 @@ def _of_no_object(
 ) -> NDArray[np.int64]:
     # Surface next to the points of an object with layer 4 is noise at its edges.
     submap_from_world = invert(world_from_submap)
+    centers = apply(world_from_submap, centers_of_keys(keys, voxel_m).astype(np.float64))
+    is_free = np.ones(len(keys), bool)
     for tracked, obstacle in zip(objects, obstacles, strict=True):
-        own = sorted_unique(keys_of_points(apply(submap_from_world, tracked.points_world), voxel_m))
-        keys = difference(keys, own if obstacle.is_observed_only else dilate(own))
-        centers = apply(world_from_submap, centers_of_keys(keys, voxel_m).astype(np.float64))
-        is_inside = np.zeros(len(keys), bool)
-        for i, (low, high) in enumerate(world_bounds(obstacle.body)):
-            near = np.flatnonzero(((centers > low) & (centers < high)).all(axis=1))
-            is_inside[near] |= implicit_value(obstacle.body, i, centers[near]) <= 1.0
-        keys = keys[~is_inside]
-    return keys
+        own = keys_of_points(apply(submap_from_world, tracked.points_world), voxel_m)
+        if obstacle.is_observed_only:
+            own = sorted_unique(own[contains(keys, own)])
+        else:
+            own = dilate(sorted_unique(own[are_near(keys, own)]))
+        is_free &= ~contains(own, keys)
+        for i, (low, high) in enumerate(obstacle.bounds):
+            near = np.flatnonzero(is_free & ((centers > low) & (centers < high)).all(axis=1))
+            is_free[near] &= implicit_value(obstacle.body, i, centers[near]) > 1.0
+    return keys[is_free]
 
 
 def _layered_boxes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
