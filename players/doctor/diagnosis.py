@@ -454,6 +454,10 @@ def judge_extrinsics(found: Diagnosis, source: LogSource) -> None:
             f"by its motion the camera sits {off[0]:.2f} m and {np.degrees(off[1]):.1f} degrees from where the profile "
             f"has it{left_open}: {extrinsics_text(estimated)}; map with --extrinsics estimate, or put it into a profile"
         )
+        rig = source.setup.rig
+        if rig is not None and [(link.parent, link.child) for link in rig.links] == [(rig.body, rig.color)]:
+            matrix = estimated.body_from_camera.round(5).tolist()
+            found.fixes["rig"] = {"links": [{"parent": rig.body, "child": rig.color, "matrix": matrix}]}
 
 
 def judge_brightness(found: Diagnosis, light: Brightness | None) -> None:

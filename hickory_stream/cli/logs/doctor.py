@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     if options.fix is not None:
         from players.profile import mended_profile
 
-        name = options.profile or found.streams.get("profile", "").removesuffix(" (guessed)")
+        name = options.profile or found.streams.get("profile", "").partition(" (guessed")[0]
         with disk_refusals(options.fix, "profile"):
             write_output(options.fix, mended_profile(name, found.fixes).encode())
     print(output("doctor", found.as_dict(), indent=1) if options.json else diagnosis_text(found))
