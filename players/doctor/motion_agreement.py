@@ -40,6 +40,8 @@ _FINE_NS, _MOST_SPREAD_NS = np.arange(-40, 41) * _STEP_OF_LAG_NS, 1e8
 _LAG_S, _MOST_LAG_S, _RESAMPLES = 0.03, 0.1, 40
 # The scale is at least so unsure: corners lie at edges, where depth errs.
 _SCALE_ERROR = 0.02
+# How far from the camera, by one sigma, poses may be that claim to be its own; rounds of the least squares for both.
+_UNSTATED_M, _ROUNDS, _LEAST_SPREAD = 0.5, 10, 0.1
 _SCALE_OFF = 1.08
 
 
@@ -246,7 +248,7 @@ class MotionSampler:
                 return None
             else:
                 poses, best, lag_s, lag_error_s = "foreign", sound, None, None
-        scale, scale_error = _scale_of(best)
+        scale, scale_error = _scale_of(seen, track, best)
         return MotionAgreement(
             num_steps=len(self.steps),
             num_moving=best.num_moving,
@@ -351,8 +353,9 @@ class _Fit:
     share: float
     num_moving: int
     axes: Matrix
-    #: (N,) the scale of depth by each step that agrees
-    scales: NDArray[np.float64]
+    lag_ns: float
+    #: (N,) whether each step moves and agrees
+    agrees: NDArray[np.bool_]
 
 
 class _Seen:
@@ -365,7 +368,7 @@ class _Seen:
         self.units = np.array([step.depth_m for step in steps])
 
     def off(self, track: _Track, lags_ns: NDArray[Any], axes: Matrix) -> tuple[NDArray[Any], ...]:
-        # (L, N) by lag and step: whether it is known, the differences of turn and shift, their lengths, and the scale.
+        # (L, N) by lag and step: whether it is known, the differences of turn and shift, and their lengths.
         turns, shifts, known = track.motions(self.ends_ns, lags_ns)
         seen_turns, seen_shifts = np.linalg.det(axes) * self.turns @ axes.T, self.shifts @ axes.T
         moved_m, seen_m = np.linalg.norm(shifts, axis=-1), np.linalg.norm(seen_shifts, axis=-1)
@@ -378,34 +381,46 @@ class _Seen:
         turned = np.maximum(np.linalg.norm(seen_turns, axis=-1), np.linalg.norm(turns, axis=-1))
         off_m = np.linalg.norm(shifts - seen_shifts / scale[..., None], axis=-1)
         off_rad = np.linalg.norm(turns - seen_turns, axis=-1)
-        along = np.where(has_shift, (seen_shifts * shifts).sum(axis=-1) / np.maximum(moved_m, 1e-9) ** 2, np.nan)
-        return known, off_rad, off_m, turned, np.maximum(moved_m, seen_m / scale), along
+        return known, off_rad, off_m, turned, np.maximum(moved_m, seen_m / scale)
 
     def fit(self, track: _Track, lag_ns: float = 0.0, axes: Matrix = np.eye(3)) -> _Fit:  # noqa: B008 # not changed
         off = self.off(track, np.array([lag_ns]), axes)
-        known, off_rad, off_m, turned, longest_m, along = (values[0] for values in off)
+        known, off_rad, off_m, turned, longest_m = (values[0] for values in off)
         seen_m = np.linalg.norm(self.shifts, axis=1)
         moving = known & ((turned > _MOVES_RAD) | (longest_m > _MOVES_M) | (seen_m > _MOVES_M * self.units))
         agrees = moving & (off_rad < _OFF_RAD + _OFF_SHARE * turned)
         agrees &= off_m < _OFF_M + _OFF_SHARE * longest_m + _LEVER_M * turned
-        scales = along[agrees & np.isfinite(along)]
-        return _Fit(float(agrees.sum() / max(moving.sum(), 1)), int(moving.sum()), axes, scales)
+        return _Fit(float(agrees.sum() / max(moving.sum(), 1)), int(moving.sum()), axes, lag_ns, agrees)
 
 
-def _scale_of(fit: _Fit) -> tuple[float | None, float | None]:
-    if len(fit.scales) < _LEAST_TRANSLATIONS:
+def _scale_of(seen: _Seen, track: _Track, fit: _Fit) -> tuple[float | None, float | None]:
+    turns, shifts, _ = (values[0] for values in track.motions(seen.ends_ns, np.array([fit.lag_ns])))
+    moved_m = np.linalg.norm(shifts, axis=1)
+    chosen = fit.agrees & (moved_m > _MOVES_M)
+    if chosen.sum() < _LEAST_TRANSLATIONS:
         return None, None
-    scale = float(np.median(fit.scales))
-    # The median's own standard error is 1.25 times the mean's.
-    spread = 1.25 * 1.4826 * float(np.median(np.abs(fit.scales / scale - 1))) / np.sqrt(len(fit.scales))
-    return round(scale, 4), round(3.0 * float(np.hypot(spread, _SCALE_ERROR)), 4)
+    # Where the poses are those of a place l beside the camera, seen / scale = shift + (turn - 1) l: linear in 1 / scale
+    # and l, which few robots state.
+    turned, shifts = Rotation.from_rotvec(turns[chosen]).as_matrix() - np.eye(3), shifts[chosen]
+    rows = np.concatenate([(seen.shifts[chosen] @ fit.axes.T)[:, :, None], -turned], axis=2)
+    sigma_m, prior = 0.004 + 0.05 * moved_m[chosen], np.diag([0.0, *[_UNSTATED_M**-2] * 3])
+    weights = sigma_m**-2
+    for _ in range(_ROUNDS):
+        information = np.einsum("nij,n,nik->jk", rows, weights, rows) + prior
+        found = np.linalg.solve(information, np.einsum("nij,n,ni->j", rows, weights, shifts))
+        off = np.linalg.norm(rows @ found - shifts, axis=1) / sigma_m
+        # The median of the length of three normal numbers is 1.54 sigma; Huber's weights.
+        spread = max(float(np.median(off)) / 1.54, _LEAST_SPREAD)
+        weights = np.minimum(1.0, 1.5 * 1.54 * spread / np.maximum(off, 1e-9)) / (spread * sigma_m) ** 2
+    error = np.sqrt(np.linalg.inv(information)[0, 0]) / found[0]
+    return round(1.0 / float(found[0]), 4), round(3.0 * float(np.hypot(error, _SCALE_ERROR)), 4)
 
 
 def _lag_of(seen: _Seen, track: _Track, axes: Matrix) -> tuple[float | None, float | None]:
     # The lag where the motions differ least, and its spread over samples of the steps.
     lags = _COARSE_NS
     for _ in range(2):
-        known, off_rad, off_m, turned, longest_m, _ = seen.off(track, lags, axes)
+        known, off_rad, off_m, turned, longest_m = seen.off(track, lags, axes)
         off = np.square(off_rad / (0.004 + 0.05 * turned)) + np.square(off_m / (0.01 + 0.1 * longest_m))
         if known[len(lags) // 2].sum() < _LEAST_MOVING:
             return None, None
