@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
+from hickory_stream.cli import main
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import SOUND, UNUSABLE, WITH_LOSSES, examine
 from players.doctor.motion_mends import motion_warnings
@@ -140,6 +142,20 @@ def test_poses_that_do_not_fit_are_named_with_their_mend(tmp_path, change, reaso
         profile = tmp_path / "mended.toml"
         profile.write_text(mended_profile("", found.fixes))
         assert motion_warnings(open_source(log, SourceOptions(profile=str(profile)))) == ([], False)
+
+
+@pytest.mark.parametrize(("per_mm", "units"), [(1, None), (10, 10000.0)])
+def test_poses_beside_the_camera_do_not_change_the_unit_of_depth(tmp_path, per_mm, units):
+    def change(rows):
+        unit(per_mm)(rows)
+        for row in of(rows, ODOM):
+            place, turn = row.message.pose.pose.position, row.message.pose.pose.orientation
+            beside = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply([-0.3, 0.1, -0.25])
+            place.x, place.y, place.z = np.array([place.x, place.y, place.z]) + beside
+
+    found = examined(cut(tmp_path / "log.mcap", change, seconds=10.0))
+    assert found.fixes.get("depth_units_per_m") == units
+    assert abs(found.frames["motion"]["scale"] / per_mm - 1) <= found.frames["motion"]["scale_error"] < 0.12
 
 
 def test_depth_that_was_taken_later_is_told_with_its_sign(tmp_path):

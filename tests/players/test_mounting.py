@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
-from players.doctor.diagnosis import examine
+from players.doctor.diagnosis import WITH_LOSSES, examine
+from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_extrinsics
+from players.profile import load_profile
 from tests.cli.test_cli import answer, look
 from tests.cli.test_cli_strange_walks import LAYER_ONE
 from tools.worlds.layouts import drawn_mounting
@@ -49,6 +51,16 @@ def test_doctor_warns_that_the_profile_is_off(recorded, estimate, monkeypatch):
     told = [problem for problem in found.problems if "by its motion the camera sits" in problem]
     assert len(told) == 1
     assert "--extrinsics estimate" in told[0]
+
+
+def test_a_mended_profile_has_the_estimated_place_on_its_base(recorded, estimate, monkeypatch):
+    monkeypatch.setattr("players.doctor.diagnosis.estimated_extrinsics", lambda *_: estimate)
+    mended, base = recorded / "mended.toml", load_profile("nus_clb")
+    told = look("doctor", recorded / "b2", "--fix", mended, "--json")
+    assert (told.status, told.json()["fixes"].keys()) == (WITH_LOSSES, {"rig"})
+    (link,), found = load_profile(str(mended)).rig.links, load_profile(str(mended))
+    np.testing.assert_allclose(link.parent_from_child, estimate.body_from_camera, atol=1e-4)
+    assert (found.topics, found.rig.color) == (base.topics, base.rig.color)
 
 
 def test_a_log_is_mapped_through_the_estimate(recorded):
