@@ -105,7 +105,8 @@ class GrowingTrack:
             self.is_constant = self.is_constant and _is_equal(self._rows[stamp_ns], pose)
             return
         newest = self.newest_ns
-        if self._limits is None or newest is None or stamp_ns < newest or self._continues(stamp_ns, pose):
+        is_usual = self._limits is None or newest is None or stamp_ns < newest or self._continues(stamp_ns, pose)
+        if is_usual and not self._is_beside_odd(stamp_ns, pose):
             if self._odd is not None:
                 self.num_teleports += 1
                 if newest is not None and stamp_ns > newest:
@@ -251,6 +252,18 @@ class GrowingTrack:
         dt_s = (newest_ns - self._stamps_ns[i]) / 1e9
         before, last = self._rows[self._stamps_ns[i]], self._rows[newest_ns]
         return tuple((b - a) / dt_s for a, b in zip(before[:3], last[:3], strict=True))
+
+    def _is_beside_odd(self, stamp_ns: int, row: tuple[float, ...]) -> bool:
+        # Over two long intervals a jump is a plausible motion, too: the odd pose explains the next one better.
+        if self._odd is None or stamp_ns < self._odd[0] or not self._is_reachable(self._odd, (stamp_ns, row)):
+            return False
+        velocity = self._velocity() or (0.0, 0.0, 0.0)
+        ends = ((self._stamps_ns[-1], self._rows[self._stamps_ns[-1]]), self._odd)
+        usual_m, odd_m = (
+            _distance([p + v * (stamp_ns - ns) / 1e9 for p, v in zip(pose[:3], velocity, strict=True)], row)
+            for ns, pose in ends
+        )
+        return odd_m < usual_m
 
     def _is_reachable(self, a: tuple[int, tuple[float, ...]], b: tuple[int, tuple[float, ...]]) -> bool:
         assert self._limits is not None

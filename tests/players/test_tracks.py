@@ -109,3 +109,11 @@ def test_noise_and_a_bobbing_gait_are_not_another_publisher():
     rng = np.random.default_rng(3)
     assert _rivals(lambda i: rng.normal(scale=0.02, size=3)) < 0.02
     assert _rivals(lambda i: [0.0, 0.0, 0.02 * np.sin(i)]) == 0.0
+
+
+def test_a_jump_between_rare_poses_is_no_teleport():
+    jump = from_rotation_translation(yaw_rotation(0.03), np.array([0.35, -0.2, 0.05]))
+    poses = [(i / 6, _walk(i / 6) if i < 15 else jump @ _walk(i / 6)) for i in range(30)]
+    track = _track(poses, JumpLimits(acceleration_mps2=6.0))
+    assert [found.stamp_ns for found in track.jumps] == [2_500 * MS]
+    assert track.num_teleports == 0
