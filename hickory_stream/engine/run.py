@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +32,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.caches import cache_folder
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.accounting import engine_metrics, run_ledger, run_timings
-from hickory_stream.engine.async_tools import LoopDelay, StopRequest, on_thread
+from hickory_stream.engine.async_tools import LoopDelay, StopRequest, on_thread, without_pauses
 from hickory_stream.engine.corrections import Corrections, KeyframeRegistrar
 from hickory_stream.engine.effects import (
     CurrentKeyframe,
@@ -69,8 +68,6 @@ from hickory_stream.ports import FeatureExtractor, Segmenter, Source, interrupt,
 from hickory_stream.records import Decision, Frame, MapSnapshot
 
 logger = logging.getLogger(__name__)
-
-_SWITCH_S = 0.0005
 
 
 class Run:
@@ -187,23 +184,21 @@ class Run:
         self._compiling = await self._stop.within_grace(compile_kernels(report, in_background=in_background), "compile")
         if self._parts.rehearse is not None and not self._stop.is_requested:
             await on_thread(self._mapping_thread, self._parts.rehearse)
-        # The mapping thread waits some 200 times a keyframe for threads that compute, each time for this long.
-        interval_s = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH_S)
         try:
-            async with asyncio.TaskGroup() as group:
-                watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
-                if resumes is not None:
-                    self._shapes.resume(resumes.open_jobs, resumes.step.shape_counts)
-                    self._loops.restart(resumes.core.searches)
-                if self._is_source_over:
-                    await self._reader.end()
-                else:
-                    start = resumes.position if resumes is not None else Position()
-                    reading = self._reader.read(source, rate=rate, loops=loops, start=start)
-                    group.create_task(reading, name="read")
-                await group.create_task(self._map(), name="map")
-                watching.cancel()
+            with without_pauses():
+                async with asyncio.TaskGroup() as group:
+                    watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
+                    if resumes is not None:
+                        self._shapes.resume(resumes.open_jobs, resumes.step.shape_counts)
+                        self._loops.restart(resumes.core.searches)
+                    if self._is_source_over:
+                        await self._reader.end()
+                    else:
+                        start = resumes.position if resumes is not None else Position()
+                        reading = self._reader.read(source, rate=rate, loops=loops, start=start)
+                        group.create_task(reading, name="read")
+                    await group.create_task(self._map(), name="map")
+                    watching.cancel()
         except BaseException as error:
             # The reading thread may wait for a frame that never comes: a robot that is gone.
             interrupt(source)
@@ -218,7 +213,6 @@ class Run:
             self._loops.close()
             self._mapping_thread.shutdown(wait=True)
             self._recorder.close()
-            sys.setswitchinterval(interval_s)
 
     @property
     def _is_source_over(self) -> bool:
