@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
-from hickory_stream.cli import main
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import SOUND, UNUSABLE, WITH_LOSSES, examine
 from players.doctor.motion_mends import motion_warnings

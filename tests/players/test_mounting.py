@@ -3,7 +3,6 @@ import pytest
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import WITH_LOSSES, examine
-from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_extrinsics
 from players.profile import load_profile
 from tests.cli.test_cli import answer, look
