@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.records import View
 
@@ -84,4 +85,13 @@ def views(draw, frame_index=None):
         box_px=(x0, y0, x0 + draw(st.integers(1, 400)), y0 + draw(st.integers(1, 400))), world_from_camera=np.eye(4),
         r_area=draw(unit_share), r_depth=draw(unit_share), box_volume_m3=draw(st.floats(1e-6, 10)), score=None,
         variance=None, feature=None,
+    )  # fmt: skip
+
+
+def quadric(exponents, semi_axes_m, world_from_local=None):
+    """One primitive, at the origin unless a pose is given."""
+    pose = np.eye(4) if world_from_local is None else world_from_local
+    return Superquadrics(
+        exponents=np.array([exponents], dtype=float), semi_axes_m=np.array([semi_axes_m], dtype=float),
+        world_from_local=pose[None],
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 import numpy as np
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.records import Frame
 
 CAMERA = Camera(width=320, height=240, fx=290.0, fy=290.0, cx=159.5, cy=119.5)
@@ -52,14 +53,10 @@ def floor(color=(120, 110, 100)):
 
 def looking(at, *, start):
     """Return world_from_camera of a camera at `start` that looks at a point, its x axis level."""
-    forward = np.array(at) - np.array(start)
-    forward /= np.linalg.norm(forward)
+    forward = np.subtract(at, start) / np.linalg.norm(np.subtract(at, start))
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
-    world_from_camera = np.eye(4)
-    world_from_camera[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    world_from_camera[:3, 3] = start
-    return world_from_camera
+    return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), np.asarray(start))
 
 
 def render(things, world_from_camera, camera=CAMERA):

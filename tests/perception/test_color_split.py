@@ -28,20 +28,22 @@ def test_two_patterned_boxes_that_are_flush_are_two():
     assert top[0] != bottom[0]
 
 
-def test_a_pattern_alone_divides_nothing():
-    assert (divided(checks(60, 40, RED), np.ones((60, 40), dtype=np.int32)) == 1).all()
+def marked(rgb, where, color):
+    rgb = np.full((60, 40, 3), rgb, dtype=np.uint8)
+    rgb[where] = color
+    return rgb
 
 
-def test_a_shadow_divides_nothing():
-    rgb = np.full((60, 40, 3), (150, 150, 150), dtype=np.uint8)
-    rgb[30:] = (115, 115, 115)
-    assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
+PLAIN = {
+    "a pattern alone": checks(60, 40, RED),
+    "a shadow": marked(150, np.s_[30:], 115),
+    "a speck": marked(WHITE, np.s_[10:12, 10:12], RED),
+}
 
 
-def test_a_speck_divides_nothing():
-    rgb = np.full((60, 40, 3), WHITE, dtype=np.uint8)
-    rgb[10:12, 10:12] = RED
-    assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
+@pytest.mark.parametrize("name", PLAIN)
+def test_what_is_no_border_divides_nothing(name):
+    assert (divided(PLAIN[name], np.ones((60, 40), dtype=np.int32)) == 1).all()
 
 
 def test_a_piece_is_divided_again():

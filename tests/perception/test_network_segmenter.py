@@ -5,7 +5,7 @@ from hickory_stream.engine.shape_jobs.processor import processor_of_run
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
+from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter, thing_log_odds
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.regions.join import JoinConfig
 from hickory_stream.perception.regions.odds_features import ODDS_FEATURES
@@ -94,3 +94,13 @@ def test_a_map_made_with_it_depends_on_no_processor():
     of_network = processor_of_run(replace(default, segmenter="network"), is_own=True)
     assert of_network == processor_of_run(default, is_own=True)
     assert processor_of_run(replace(default, segmenter="fastsam"), is_own=True) != ""
+
+
+def test_a_mask_has_the_mean_odds_of_its_pixels_or_none():
+    labels = np.zeros((6, 8), dtype=np.int32)
+    labels[:, :4] = 1
+    labels[1, 5] = 2  # between the outputs, which are those of even rows and columns
+    odds = np.full((NUM_OUTPUTS, 3, 4), ODDS_ZERO, dtype=np.uint8)
+    odds[THING, :, 0] = ODDS_ZERO + 2 * ODDS_UNIT
+    odds[THING, :, 1] = ODDS_ZERO - 4 * ODDS_UNIT
+    np.testing.assert_array_equal(thing_log_odds(labels, PixelOdds(odds=odds)), [0.0, -1.0, np.nan])

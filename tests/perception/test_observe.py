@@ -1,3 +1,4 @@
+from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
@@ -6,29 +7,27 @@ from hypothesis import strategies as st
 from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, steps_of
-from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
+from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_cells, keys_of_points
 from hickory_stream.perception.observe import mask_area_of, observe, voxel_means
-from hickory_stream.perception.space import SpaceConfig, observe_space
+from hickory_stream.perception.space import SpaceConfig, _free_keys, observe_space
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from tests.perception.perception_scenes import CAMERA, Block, floor, looking, render
+from tests.strategies import seeds
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 BOX = Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=(190, 40, 40))
 
 
-def truth(shown, labels):
-    instances = np.zeros(shown.shape, dtype=np.int32)
-    for label, thing in enumerate(labels, start=1):
-        instances[shown == thing] = label
-    return Segmentation(instances=instances, structure=shown == 0, floor_z_m=0.0, rejected=())
+def observed(frame, mask):
+    """The observations, and the rejected masks, of a frame whose segmenter finds one mask."""
+    segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask, floor_z_m=0.0)
+    return observe(frame, segmentation, Lattice())
 
 
-def with_depth(frame, depth):
-    return Frame(
-        index=0, stamp_ns=0, rgb=frame.rgb, depth_m=depth, camera=frame.camera,
-        world_from_camera=frame.world_from_camera,
-    )  # fmt: skip
+def space_of(frame, shown):
+    segmentation = Segmentation(instances=(shown == 1).astype(np.int32), structure=shown == 0, floor_z_m=0.0)
+    return observe_space(frame, segmentation, SpaceConfig(), Lattice())
 
 
 def distance_to_box(points, block):
@@ -38,7 +37,7 @@ def distance_to_box(points, block):
 
 def test_lifted_points_lie_on_the_true_surface():
     frame, shown = render([floor(), BOX], VIEW)
-    observations, rejected = observe(frame, truth(shown, [1]), Lattice())
+    observations, rejected = observed(frame, shown == 1)
     assert rejected == ()
     # A voxel's mean at an edge lies inside by at most a voxel.
     assert distance_to_box(observations[0].points_world, BOX).max() < 0.01
@@ -50,7 +49,7 @@ def test_the_factors_of_a_view_are_shares_of_image_and_mask():
     depth = frame.depth_m.copy()
     lost = (shown == 1) & (np.arange(CAMERA.width) % 4 == 0)
     depth[lost] = np.nan
-    observation = observe(with_depth(frame, depth), truth(shown, [1]), Lattice())[0][0]
+    observation = observed(replace(frame, depth_m=depth), shown == 1)[0][0]
     pixels = int((shown == 1).sum())
     assert observation.r_area == pixels / (CAMERA.width * CAMERA.height)
     assert observation.r_depth == pytest.approx(1 - lost.sum() / pixels)
@@ -61,9 +60,9 @@ def test_the_factors_of_a_view_are_shares_of_image_and_mask():
 def test_an_outline_is_drawn_by_returns_or_colour(color, drawn):
     box = Block(low=BOX.low, high=BOX.high, color=color)
     frame, shown = render([floor(), box], VIEW)
-    seen = observe(frame, truth(shown, [1]), Lattice())[0][0]
-    alone = with_depth(frame, np.where(shown == 1, frame.depth_m, np.float32(np.nan)))
-    lost = observe(alone, truth(shown, [1]), Lattice())[0][0]
+    seen = observed(frame, shown == 1)[0][0]
+    alone = replace(frame, depth_m=np.where(shown == 1, frame.depth_m, np.float32(np.nan)))
+    lost = observed(alone, shown == 1)[0][0]
     assert seen.drawn == 1.0
     assert lost.drawn == pytest.approx(drawn, abs=0.1)
 
@@ -72,7 +71,7 @@ def test_only_what_touches_the_border_is_cut():
     inside = render([floor(), BOX], VIEW)
     outside = render([floor(), BOX], looking((0.0, 1.35, 0.3), start=(-2.2, -0.3, 1.5)))
     assert (outside[1][:, [0, -1]] == 1).any()
-    cut = [observe(frame, truth(shown, [1]), Lattice())[0][0].is_cut for frame, shown in (inside, outside)]
+    cut = [observed(frame, shown == 1)[0][0].is_cut for frame, shown in (inside, outside)]
     assert cut == [False, True]
 
 
@@ -81,23 +80,21 @@ def test_a_thin_leg_is_lifted_with_the_top_it_carries():
     leg = Block(low=(-0.19, -0.01, 0.0), high=(-0.17, 0.01, 0.4), color=(1, 2, 3))
     fine = Camera(width=640, height=480, fx=580.0, fy=580.0, cx=319.5, cy=239.5)
     frame, shown = render([floor(), top, leg], VIEW, fine)
-    whole = np.where(shown == 2, 1, shown)
-    box = observe(frame, truth(whole, [1]), Lattice())[0][0].box
+    box = observed(frame, shown >= 1)[0][0].box
     assert box.center[2] - box.half_extents_m[2] < 0.05
 
 
 def test_a_mask_without_depth_is_rejected_with_its_reason():
     frame, shown = render([floor(), BOX], VIEW)
     depth = np.where(shown == 1, np.nan, frame.depth_m).astype(np.float32)
-    observations, rejected = observe(with_depth(frame, depth), truth(shown, [1]), Lattice())
+    observations, rejected = observed(replace(frame, depth_m=depth), shown == 1)
     assert observations == ()
     assert [r.reason for r in rejected] == ["no reliable depth in the mask"]
 
 
 def test_an_image_without_depth_says_nothing_of_space():
     frame, shown = render([floor()], VIEW)
-    blind = with_depth(frame, np.full_like(frame.depth_m, np.nan))
-    space = observe_space(blind, truth(shown, []), SpaceConfig(), Lattice())
+    space = space_of(replace(frame, depth_m=np.full_like(frame.depth_m, np.nan)), shown)
     assert len(space.free_keys) == len(space.structure_keys) == 0
 
 
@@ -105,7 +102,7 @@ def test_an_image_without_depth_says_nothing_of_space():
 def test_free_voxels_hold_no_return_and_structure_is_the_floor(height, aim):
     frame, shown = render([floor(), BOX], looking((0.0, aim, 0.2), start=(-2.0, 0.0, height)))
     lattice = Lattice()
-    space = observe_space(frame, truth(shown, [1]), SpaceConfig(), lattice)
+    space = space_of(frame, shown)
     u, v = np.meshgrid(np.arange(0, CAMERA.width, 3), np.arange(0, CAMERA.height, 3))
     z = frame.depth_m[::3, ::3].astype(np.float64)
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
@@ -155,8 +152,7 @@ def can_at(distance_m):
 @pytest.mark.parametrize("distance_m", [1.0, 2.0, 3.0, 4.0])
 def test_a_can_has_its_true_size_at_any_distance(distance_m):
     frame, mask = can_at(distance_m)
-    segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
-    observations, rejected = observe(frame, segmentation, Lattice())
+    observations, rejected = observed(frame, mask)
     assert rejected == ()
     size = np.ptp(observations[0].points_world, axis=0)
     # To a pixel on each side and two voxels; edges of stereo images are lost.
@@ -167,8 +163,7 @@ def test_a_can_has_its_true_size_at_any_distance(distance_m):
 def test_the_rim_of_a_mask_that_shows_the_wall_is_left_out():
     frame, mask = can_at(2.0)
     wide = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8))
-    segmentation = Segmentation(instances=wide.astype(np.int32), structure=wide == 0)
-    points = observe(frame, segmentation, Lattice())[0][0].points_world
+    points = observed(frame, wide > 0)[0][0].points_world
     assert points[:, 0].max() < 2.0 + 5 * float(frame.sensor.sigma_m(np.array([2.0], dtype=np.float32))[0])
 
 
@@ -176,7 +171,30 @@ def test_returns_of_which_no_two_agree_are_no_thing():
     frame, mask = can_at(2.0)
     depth = frame.depth_m.copy()
     depth[mask] = np.random.default_rng(0).uniform(1.0, 4.0, int(mask.sum())).astype(np.float32)
-    segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
-    observations, rejected = observe(with_depth(frame, depth), segmentation, Lattice())
+    observations, rejected = observed(replace(frame, depth_m=depth), mask)
     assert observations == ()
     assert "sure returns, fewer than 24" in rejected[0].reason
+
+
+def walked(origin, ends, returns, voxel_m):
+    cells = [np.empty((0, 3), dtype=np.int64)]
+    for end in ends:
+        ray = (end - origin) / voxel_m
+        length = np.sqrt((ray**2).sum())
+        steps = np.arange(1, max(int((length - 1) / 0.7), 1))
+        cells.append(np.floor(origin / voxel_m + steps[:, None] * 0.7 * ray / max(length, 1e-9)).astype(np.int64))
+    keys = np.unique(keys_of_cells(np.concatenate(cells)))
+    return keys[~np.isin(keys, keys_of_points(returns, voxel_m))]
+
+
+@given(seeds, st.integers(0, 40), st.sampled_from([0.05, 0.11]), st.sampled_from([0.3, 2.0]))
+def test_free_voxels_are_those_that_a_walk_along_the_rays_meets(seed, count, voxel_m, reach_m):
+    rng = np.random.default_rng(seed)
+    origin = rng.uniform(-3, 3, 3)
+    ends = origin + rng.uniform(-reach_m, reach_m, (count, 3))
+    returns = origin + rng.uniform(-1.5 * reach_m, 1.5 * reach_m, (300, 3))
+    assert np.array_equal(_free_keys(origin, ends, returns, voxel_m), walked(origin, ends, returns, voxel_m))
+
+
+def test_no_ray_frees_nothing():
+    assert len(_free_keys(np.zeros(3), np.empty((0, 3)), np.empty((0, 3)), 0.05)) == 0

@@ -7,6 +7,7 @@ from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.config import MapperConfig
 from hickory_stream.events import FeaturesReady, SourceEnded
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -131,12 +132,6 @@ def test_stairs_are_one_thing_on_the_floor_before_them():
     assert float(found.structure[shown == 0].mean()) > 0.8
 
 
-def test_a_frame_without_returns_has_no_floor_and_no_masks():
-    frame, _ = view(BOX)
-    found, count = masks_of(replace(frame, depth_m=np.full_like(frame.depth_m, np.nan)))
-    assert (count, found.floor_z_m) == (0, None)
-
-
 def test_a_camera_carried_up_a_kerb_sees_one_thing():
     steps = [(x, 0.12 if x > 1.0 else 0.0) for x in np.arange(-2.4, 1.4, 0.3)]
     frames = [view(BOX, PAVEMENT, at=(x + 2.5, 0.0, z + 0.2), start=(x, -0.9, z + 1.3))[0] for x, z in steps]
@@ -176,3 +171,18 @@ def test_a_bush_with_leaves_that_move_is_one_thing_of_its_size():
     maps = maps_of(on_the_road(*(bush() for _ in range(7))))
     (found,) = (item for item in objects_in(maps[-1]) if not is_kiosk(item))
     assert found.box.half_extents_m == pytest.approx((0.42, 0.42, 0.4), abs=0.15)
+
+
+def test_a_person_who_stood_leaves_no_object_and_no_structure():
+    maps = maps_of(on_the_road(*[person_at(0.0)] * 6, *[[]] * 7))
+
+    def structure_of(snapshot):
+        space = snapshot.submaps[0].observed_space
+        x, y, z = centers_of_keys(space.structure, space.voxel_m).T
+        return int(((np.hypot(x + 0.45, y) < 0.4) & (z > 0.2)).sum())
+
+    # Who stands is, from one side, an upright slab from the floor to above one's waist: taken for a piece of wall.
+    assert len(objects_in(maps[5])) > 1 or structure_of(maps[5]) > 20
+    assert structure_of(maps[-2]) == 0
+    (left,) = objects_in(maps[-2])
+    assert is_kiosk(left)

@@ -4,7 +4,6 @@ Needs the extra `train` (torch); skipped without. Run: pytest -m reference tests
 """
 
 import dataclasses
-from pathlib import Path
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`: pip instal
 from test_network_lessons import true_frame  # noqa: E402 -- after what is skipped without torch
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
+from tests.perception.affinity.test_pixel_inputs import run_in_integers  # noqa: E402
 from tools.network_training.export import export  # noqa: E402
 from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402
 from tools.network_training.model import inputs_of  # noqa: E402
@@ -61,10 +61,7 @@ def test_other_processes_make_the_same_lessons():
             torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=0, atol=0)
 
 
-def test_the_exported_network_is_close_to_the_trained_one(trained, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "perception"))
-    from integer_graph import run_in_integers
-
+def test_the_exported_network_is_close_to_the_trained_one(trained, tmp_path):
     net, _ = trained
     inputs = [lesson_of(true_frame(), np.random.default_rng(seed)).inputs for seed in range(4)]
     path = tmp_path / "net.onnx"

@@ -2,7 +2,7 @@
 
 Affinities at growing distances (Wolf et al. 2018, Lee et al. 2017) by a packaged U-Net of one megabyte
 (`tools/train_network`). It is quantised to eight bits throughout: exact integer sums, one scale factor and one rounding
-give the same bytes on every processor (`tests/perception/affinity/test_pixel_network.py`).
+give the same bytes on every processor (`tests/perception/affinity/test_pixel_inputs.py`).
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
 import json
+import numpy as np
 import pytest
+from onnx import TensorProto, helper
 from hickory_stream.errors import ModelError
 from hickory_stream.perception.models.library import (
     MANIFEST,
@@ -10,6 +12,7 @@ from hickory_stream.perception.models.library import (
     read_manifest,
     sha256_of,
 )
+from hickory_stream.perception.models.network import Network, NetworkConfig, available_providers
 from tests.perception import small_graphs
 
 
@@ -23,10 +26,15 @@ def entry_of(file, **changes):
     return ModelEntry(**{**known, "source": "a test", "licence": "CC0-1.0", "labels": ("a", "b"), **changes})
 
 
-def test_what_is_added_is_found_with_all_that_is_known_of_it(tmp_path, dino):
-    folder = tmp_path / "models"
-    entry = entry_of(dino)
-    add_model(folder, dino, entry)
+@pytest.fixture
+def added(tmp_path, dino):
+    """The folder and the entry of a model that was added."""
+    add_model(tmp_path / "models", dino, entry_of(dino))
+    return tmp_path / "models", entry_of(dino)
+
+
+def test_what_is_added_is_found_with_all_that_is_known_of_it(added):
+    folder, entry = added
     assert read_manifest(folder) == {"small": entry}
     assert find_model("small", "dinov2", folder=folder) == (entry, folder / "small.onnx")
 
@@ -51,33 +59,24 @@ def test_a_file_without_a_manifest_is_not_believed(tmp_path, dino):
         find_model("small", "dinov2", folder=tmp_path)
 
 
-def test_a_file_that_was_changed_is_refused_with_both_hashes(tmp_path, dino):
-    folder = tmp_path / "models"
-    entry = entry_of(dino)
-    add_model(folder, dino, entry)
+def test_a_file_that_was_changed_is_refused_with_both_hashes(added, dino):
+    folder, entry = added
     (folder / "small.onnx").write_bytes(dino.read_bytes() + b"x")
     with pytest.raises(ModelError, match=rf"has sha256 [0-9a-f]{{64}}, manifest\.json says {entry.sha256}"):
         find_model("small", "dinov2", folder=folder)
 
 
-def test_a_file_that_is_gone_is_said_to_be(tmp_path, dino):
-    folder = tmp_path / "models"
-    add_model(folder, dino, entry_of(dino))
+def test_a_model_of_another_kind_or_without_its_file_is_refused(added):
+    folder, _ = added
+    with pytest.raises(ModelError, match="of kind dinov2, expected fastsam"):
+        find_model("small", "fastsam", folder=folder)
     (folder / "small.onnx").unlink()
     with pytest.raises(ModelError, match="is missing, though"):
         find_model("small", "dinov2", folder=folder)
 
 
-def test_a_model_of_another_kind_is_refused(tmp_path, dino):
-    folder = tmp_path / "models"
-    add_model(folder, dino, entry_of(dino))
-    with pytest.raises(ModelError, match="of kind dinov2, expected fastsam"):
-        find_model("small", "fastsam", folder=folder)
-
-
-def test_a_file_of_another_model_is_not_replaced(tmp_path, dino):
-    folder = tmp_path / "models"
-    add_model(folder, dino, entry_of(dino))
+def test_a_file_of_another_model_is_not_replaced(added, dino):
+    folder, _ = added
     with pytest.raises(ModelError, match="belongs to the model small"):
         add_model(folder, dino, entry_of(dino, name="other"))
 
@@ -103,3 +102,52 @@ def test_a_manifest_that_is_none_is_refused_by_its_path(tmp_path, text):
 def test_a_home_that_is_no_folder_holds_no_models(tmp_path):
     (tmp_path / "home").write_text("")
     assert read_manifest(tmp_path / "home" / "models") == {}
+
+
+CPU = NetworkConfig(provider="cpu")
+IMAGE = np.zeros((1, 3, 28, 28), np.float32)
+
+
+def test_a_network_says_what_it_runs_on_and_for_how_long(tmp_path):
+    network = Network(small_graphs.dino(tmp_path / "a.onnx"), NetworkConfig(provider="auto"))
+    assert network.provider in available_providers()
+    network.warm_up(IMAGE)
+    assert network.warm_up_s is not None
+    assert network.num_runs == 0
+    (tokens,) = network.run(IMAGE)
+    assert tokens.shape == (1, 5, 3)
+    assert network.num_runs == 1
+    assert network.total_s == network.last_s > 0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9], ids=["empty", "a third", "most"])
+def test_a_truncated_file_is_refused_by_name(tmp_path, share):
+    whole = small_graphs.dino(tmp_path / "a.onnx").read_bytes()
+    (tmp_path / "cut.onnx").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ModelError, match=r"cut\.onnx .*export it"):
+        Network(tmp_path / "cut.onnx", CPU)
+
+
+def test_a_file_of_another_operator_set_is_refused(tmp_path):
+    node = helper.make_node("Identity", ["image"], ["same"])
+    file = small_graphs.save(tmp_path / "new.onnx", [node], [("same", TensorProto.FLOAT, None)], opset=999)
+    with pytest.raises(ModelError, match="operator set that this onnxruntime does not know"):
+        Network(file, CPU)
+
+
+def test_a_missing_file_is_said_to_be(tmp_path):
+    with pytest.raises(ModelError, match="is missing"):
+        Network(tmp_path / "none.onnx", CPU)
+
+
+@pytest.mark.skipif("cuda" in available_providers(), reason="this onnxruntime has CUDA")
+@pytest.mark.parametrize("provider", ["cuda", "tensorrt"])
+def test_an_unknown_provider_is_refused_with_the_known_ones(tmp_path, provider):
+    with pytest.raises(ModelError, match=f"no provider {provider}, only cpu"):
+        Network(small_graphs.dino(tmp_path / "a.onnx"), NetworkConfig(provider=provider))
+
+
+def test_a_graph_that_fails_on_an_image_says_its_size(tmp_path):
+    network = Network(small_graphs.dino(tmp_path / "a.onnx", image=(1, 3, 28, 28)), CPU)
+    with pytest.raises(ModelError, match=r"fails on an image of 14 x 28"):
+        network.run(IMAGE[..., :14])

@@ -2,8 +2,10 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.structure import detection
 from hickory_stream.perception.structure.detection import pixel_areas_m2
+from hickory_stream.perception.structure.room_structure import _in_voxels
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from tests.perception.perception_scenes import CAMERA, Block, floor, looking, render
 from tests.strategies import seeds
@@ -71,3 +73,16 @@ def test_the_spread_is_the_weighted_covariance(seed, count):
     middle, spread = detection._spread(at, weight / weight.sum())
     assert np.allclose(middle, np.average(at, axis=0, weights=weight))
     assert np.allclose(spread, np.cov(at.T, aweights=weight, ddof=0), atol=1e-9)
+
+
+@given(seeds)
+def test_points_lie_in_known_structure_where_voxels_are_known(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.3, 0.3, (9, 11, 3)).astype(np.float32)
+    points[::2] = np.round(points[::2], 1)  # neighbours in one voxel, too
+    points[4, 3:7] = np.nan
+    known = np.unique(keys_of_points(rng.uniform(-0.3, 0.3, (120, 3)), 0.1))
+    seen = np.isfinite(points[..., 2])
+    expected = np.zeros(seen.shape, dtype=bool)
+    expected[seen] = contains(known, keys_of_points(points[seen], 0.1))
+    assert np.array_equal(_in_voxels(points, known, 0.1), expected)

@@ -49,17 +49,14 @@ def test_a_slope_is_ground_and_a_box_on_it_is_not(tilt_deg):
     assert share(room, ids, 1) < 0.12
 
 
-def test_a_pavement_and_the_face_of_its_kerb_are_ground():
-    pavement = Block(low=(0.3, -9.0, -1.0), high=(9.0, 9.0, 0.13), color=GREY)
-    room, ids, _ = seen([floor(), pavement, block(1.2, -0.3, 1.7, 0.3, 0.5, foot=0.13)])
-    assert share(room, ids, 0) > 0.97
-    assert share(room, ids, 1) > 0.97
-    assert share(room, ids, 2) < 0.15
-
-
-def test_a_road_below_the_kerb_that_one_stands_on_is_ground():
-    pavement = Block(low=(-9.0, -9.0, -1.0), high=(0.0, 9.0, 0.14), color=GREY)
-    room, ids, _ = seen([floor(), pavement, block(1.2, -0.3, 1.7, 0.3, 0.5)], start=(-2.4, -0.2, 1.54))
+@pytest.mark.parametrize(
+    ("x0", "x1", "top", "foot", "eye"),
+    [(0.3, 9.0, 0.13, 0.13, 1.4), (-9.0, 0.0, 0.14, 0.0, 1.54)],
+    ids=["a pavement and the face of its kerb", "a road below the kerb that one stands on"],
+)
+def test_both_sides_of_a_kerb_are_ground_and_a_box_is_not(x0, x1, top, foot, eye):
+    pavement = Block(low=(x0, -9.0, -1.0), high=(x1, 9.0, top), color=GREY)
+    room, ids, _ = seen([floor(), pavement, block(1.2, -0.3, 1.7, 0.3, 0.5, foot=foot)], start=(-2.4, -0.2, eye))
     assert share(room, ids, 0) > 0.97
     assert share(room, ids, 1) > 0.97
     assert share(room, ids, 2) < 0.15

@@ -3,6 +3,8 @@ import numpy as np
 import pytest
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from players import open_source
+from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
+from tools.evaluation.masks.scores import total
 
 
 def box_mask(shape, x0, y0, x1, y1):
@@ -32,3 +34,9 @@ def test_table_chairs_and_mugs_of_a_real_kitchen_are_instances(redkitchen, index
         assert labels[name] > 0, f"nothing where the {name} is"
         assert (inside == labels[name]).mean() > 0.35, f"the {name} is in pieces"
     assert len(set(labels.values())) == len(labels)
+
+
+def test_things_on_a_real_table_are_masks_of_their_own(mosd):
+    score = total(score_cloud(load_cloud(path)) for path in clouds_in(mosd))
+    assert score.f1 >= 0.8
+    assert score.best_iou >= 0.75
