@@ -6,13 +6,8 @@ from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion, yaw_rotation
 from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.superquadric import (
-    Superquadrics,
-    implicit_value,
-    radial_distance_m,
-    volumes_m3,
-    world_bounds,
-)
+from hickory_stream.geometry.superquadric import implicit_value, radial_distance_m, volumes_m3, world_bounds
+from tests.strategies import quadric
 
 
 def sketch_of(points):
@@ -67,10 +62,8 @@ def test_no_upright_primitive_costs_less_than_the_sketch(name):
     exponents = np.array([(e1, e2) for e1 in (0.1, 0.3, 0.6, 1.0) for e2 in (0.1, 0.3, 0.6, 1.0)])
     turns = [np.eye(3)[:, list(order)] for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))]
     trials = [
-        Superquadrics(
-            exponents=own[None],
-            semi_axes_m=(box.half_extents_m @ turn)[None],
-            world_from_local=from_rotation_translation(box.world_from_box[:3, :3] @ turn, box.center)[None],
+        quadric(
+            own, box.half_extents_m @ turn, from_rotation_translation(box.world_from_box[:3, :3] @ turn, box.center)
         )
         for own in exponents
         for turn in turns

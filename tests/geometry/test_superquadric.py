@@ -1,20 +1,29 @@
 import numpy as np
 import pytest
-from hypothesis import given
+import trimesh
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion
 from hickory_stream.geometry.superquadric import (
     Superquadrics,
     bounds_in,
+    canonical,
     implicit_value,
     log_implicit_value,
+    moved,
     outward_normals,
+    radial_distance_m,
     sorted_by_volume,
     support,
+    taken,
     volumes_m3,
     world_bounds,
 )
-from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
+from hickory_stream.pictures.open3d_import import import_open3d
+from tests.strategies import quadric
+from tools.evaluation.shape_score import shape_score
 
 exponent = st.floats(0.1, 2.0)
 semi_axis = st.floats(0.005, 3.0)
@@ -26,17 +35,11 @@ def quadrics(draw):
     pose = from_rotation_translation(
         rotation_from_quaternion(*quaternion), np.array([draw(st.floats(-50, 50)) for _ in range(3)])
     )
-    return Superquadrics(
-        exponents=np.array([[draw(exponent), draw(exponent)]]),
-        semi_axes_m=np.array([[draw(semi_axis), draw(semi_axis), draw(semi_axis)]]),
-        world_from_local=pose[None],
-    )
+    return quadric((draw(exponent), draw(exponent)), (draw(semi_axis), draw(semi_axis), draw(semi_axis)), pose)
 
 
 def one(exponents, semi_axes):
-    return Superquadrics(
-        exponents=np.array([exponents]), semi_axes_m=np.array([semi_axes]), world_from_local=np.eye(4)[None]
-    )
+    return quadric(exponents, semi_axes)
 
 
 def signed_volume(vertices, faces):
@@ -135,3 +138,211 @@ def test_sorting_puts_the_largest_volume_first_and_is_stable():
         exponents=np.ones((3, 2)), semi_axes_m=np.array([[1, 1, 1], [2, 2, 2], [1, 1, 1.0]]), world_from_local=poses
     )
     assert sorted_by_volume(three).world_from_local[:, 0, 3].tolist() == [1, 0, 2]
+
+
+axis = st.floats(0.005, 1.0)
+
+
+@st.composite
+def at_the_origin(draw):
+    return quadric((draw(exponent), draw(exponent)), (draw(axis), draw(axis), draw(axis)))
+
+
+def in_all_directions(primitive, count):
+    """Return points of the surface by the usual parameters, which the mesh does not use."""
+    rng = np.random.default_rng(0)
+    e1, e2 = primitive.exponents[0]
+    eta, omega = rng.uniform(-np.pi / 2, np.pi / 2, count), rng.uniform(-np.pi, np.pi, count)
+
+    def power(value, exponent):
+        return np.sign(value) * np.abs(value) ** exponent
+
+    unit = np.stack(
+        [
+            power(np.cos(eta), e1) * power(np.cos(omega), e2),
+            power(np.cos(eta), e1) * power(np.sin(omega), e2),
+            power(np.sin(eta), e1),
+        ],
+        axis=1,
+    )
+    return np.asarray(unit * primitive.semi_axes_m[0])
+
+
+@settings(max_examples=40, deadline=None)
+@given(at_the_origin(), st.sampled_from([None, 0.05, 0.001]))
+def test_surface_points_are_within_the_stated_error(primitive, share):
+    largest = float(primitive.semi_axes_m.max())
+    allowed = 0.01 * largest if share is None else share * largest
+    vertices, faces = display_mesh(primitive, 0, None if share is None else allowed)
+    assert np.abs(radial_distance_m(primitive, 0, vertices)).max() <= 1e-5 * largest
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(vertices, faces.astype(np.uint32))
+    points = in_all_directions(primitive, 2000).astype(np.float32)
+    distances = scene.compute_distance(o3d.core.Tensor(points)).numpy()
+    assert distances.max() <= allowed + 1e-4 * largest
+
+
+@settings(max_examples=40, deadline=None)
+@given(at_the_origin())
+def test_the_mesh_is_closed_and_looks_outwards(primitive):
+    vertices, faces = display_mesh(primitive, 0)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert 0 < mesh.volume <= volumes_m3(primitive)[0] * (1 + 1e-4)
+    middles, areas = mesh.triangles_center, mesh.area_faces
+    large = areas > 1e-9 * areas.sum()
+    facing = (mesh.face_normals * outward_normals(primitive, 0, middles)).sum(axis=1)
+    assert (facing[large] > 0).all()
+
+
+def test_flat_surface_needs_few_vertices():
+    def vertices(exponents, share):
+        body = quadric(exponents, (1.0, 1.0, 1.0))
+        return len(display_mesh(body, 0, share)[0])
+
+    assert vertices((2.0, 2.0), 0.01) == 6
+    assert vertices((0.1, 0.1), 0.01) < vertices((1.0, 1.0), 0.01) < vertices((1.0, 1.0), 0.001)
+
+
+@settings(max_examples=40, deadline=None)
+@given(at_the_origin(), st.integers(20, 400))
+def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
+    points = surface_points(primitive, 0, count)
+    largest = float(primitive.semi_axes_m.max())
+    assert points.shape == (count, 3)
+    assert np.abs(radial_distance_m(primitive, 0, points)).max() <= 1e-9 * largest
+    vertices, faces = display_mesh(primitive, 0, 0.001 * largest)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    everywhere, _ = trimesh.sample.sample_surface(mesh, 3000, seed=0)
+    gaps, _ = cKDTree(points).query(everywhere)
+    # Points of a needle stand one behind another.
+    spacing = max(np.sqrt(mesh.area / count), 2 * largest / count)
+    assert gaps.max() <= 3.5 * spacing
+
+
+@settings(max_examples=30, deadline=None)
+@given(at_the_origin(), st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 1)))
+def test_the_share_of_points_beyond_a_plane_is_that_of_the_area(primitive, direction):
+    points = surface_points(primitive, 0, 1000)
+    vertices, faces = display_mesh(primitive, 0, 0.0005 * float(primitive.semi_axes_m.max()))
+    everywhere, _ = trimesh.sample.sample_surface(trimesh.Trimesh(vertices, faces, process=False), 20_000, seed=0)
+    along = np.array(direction) / primitive.semi_axes_m[0]
+    limit = 0.3 * float((everywhere @ along).max())
+    share = float((everywhere @ along > limit).mean())
+    assert float((points @ along > limit).mean()) == pytest.approx(share, abs=0.05)
+
+
+def test_the_same_primitive_gives_the_same_points():
+    body = quadric((0.3, 1.0), (0.3, 0.2, 0.1))
+    assert np.array_equal(surface_points(body, 0, 77), surface_points(body, 0, 77))
+
+
+def random_rotation(rng):
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+@st.composite
+def objects(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    count = draw(st.integers(1, 5))
+    exponents = rng.uniform(0.1, 2.0, (count, 2))
+    if draw(st.booleans()):
+        exponents[:, 1] = exponents[:, 0]
+    semi_axes = rng.uniform(0.05, 1.0, (count, 3))
+    if draw(st.booleans()):
+        semi_axes[:, 1] = semi_axes[:, 0]
+    poses = np.stack([from_rotation_translation(random_rotation(rng), rng.normal(size=3)) for _ in range(count)])
+    return Superquadrics(exponents=exponents, semi_axes_m=semi_axes, world_from_local=poses)
+
+
+def in_another_form(primitives, rng):
+    """Return the same bodies, moved rigidly, shuffled, with their axes named in other ways."""
+    exponents, axes = primitives.exponents.copy(), primitives.semi_axes_m.copy()
+    poses = primitives.world_from_local.copy()
+    for i in range(len(primitives)):
+        orders = [(0, 1, 2), (1, 0, 2)]
+        if exponents[i, 0] == exponents[i, 1]:
+            orders += [(1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0)]
+        order = list(orders[rng.integers(len(orders))])
+        axes[i] = axes[i, order]
+        rotation = poses[i, :3, :3][:, order] * rng.choice([-1.0, 1.0], 3)
+        rotation[:, 2] *= np.sign(np.linalg.det(rotation))
+        poses[i, :3, :3] = rotation
+    form = Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=poses)
+    place = from_rotation_translation(random_rotation(rng), rng.normal(size=3))
+    return moved(taken(form, rng.permutation(len(form))), place)
+
+
+@given(objects(), st.integers(0, 1000))
+def test_equal_shapes_score_one_in_whatever_form(shape, seed):
+    assert shape_score(shape, in_another_form(shape, np.random.default_rng(seed))) == pytest.approx(1.0, abs=1e-12)
+
+
+@given(objects(), objects())
+def test_the_score_is_symmetric_and_within_its_bounds(a, b):
+    score = shape_score(a, b)
+    assert 0 <= score <= 1
+    assert shape_score(b, a) == pytest.approx(score, abs=1e-12)
+
+
+@given(objects(), objects(), st.floats(0.1, 3.0))
+def test_a_smaller_sigma_never_raises_the_score(a, b, sigma):
+    assert shape_score(a, b, sigma_geo=sigma) <= shape_score(a, b, sigma_geo=2 * sigma) + 1e-12
+
+
+@given(objects(), st.integers(0, 1000))
+def test_the_canonical_form_is_one_for_all_and_the_same_body(shape, seed):
+    rng = np.random.default_rng(seed)
+    sharp = Superquadrics(
+        exponents=np.minimum(shape.exponents, 1.0),
+        semi_axes_m=shape.semi_axes_m,
+        world_from_local=shape.world_from_local,
+    )
+    form = canonical(sharp)
+    order = rng.permutation(len(sharp))
+    again = canonical(taken(sharp, order))
+    np.testing.assert_allclose(again.semi_axes_m, form.semi_axes_m)
+    np.testing.assert_allclose(again.world_from_local, form.world_from_local, atol=1e-9)
+    np.testing.assert_allclose(canonical(form).world_from_local, form.world_from_local, atol=1e-9)
+    points = rng.normal(size=(40, 3))
+    inside = [np.min([implicit_value(s, i, points) for i in range(len(s))], axis=0) <= 1 for s in (sharp, form)]
+    assert np.array_equal(*inside)
+
+
+def test_a_form_with_renamed_axes_has_the_same_canonical_form():
+    turned = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    a = quadric((0.5, 0.5), (3.0, 2, 1))
+    b = quadric((0.5, 0.5), a.semi_axes_m[0] @ turned, from_rotation_translation(turned, np.zeros(3)))
+    np.testing.assert_allclose(canonical(b).semi_axes_m, a.semi_axes_m)
+    np.testing.assert_allclose(canonical(b).world_from_local, a.world_from_local, atol=1e-12)
+
+
+def test_a_column_over_a_diamond_is_written_as_its_dual():
+    diamond = quadric((0.1, 1.9), (0.2, 0.2, 0.5))
+    square = canonical(diamond)
+    assert square.exponents[0, 1] == pytest.approx(0.1)
+    assert square.semi_axes_m[0].min() == pytest.approx(0.2 / np.sqrt(2), rel=0.05)
+    assert volumes_m3(square)[0] == pytest.approx(volumes_m3(diamond)[0], rel=0.03)
+    assert shape_score(diamond, square) > 0.97
+
+
+def test_the_score_of_a_sphere_is_worked_out_by_hand():
+    def one(exponents, axes):
+        return quadric(exponents, axes)
+
+    a, b = one((1.0, 1.0), (1.0, 1.0, 1.0)), one((0.5, 0.8), (2.0, 1.0, 0.5))
+    expected = np.exp(-0.7) * (0.5 + 1 + 0.5) / 3
+    # For a sphere no other order of the axes is better than the one that the paper writes.
+    assert shape_score(a, b) == pytest.approx(expected)
+
+
+def test_volume_without_a_partner_counts_against():
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    two = Superquadrics(
+        exponents=np.ones((2, 2)), semi_axes_m=np.array([[1.0, 1, 1], [1, 1, 1]]), world_from_local=poses
+    )
+    assert shape_score(two, taken(two, np.array([0]))) == pytest.approx(0.5)
+    assert shape_score(two, taken(two, np.array([], dtype=np.int64))) == 0.0

@@ -76,13 +76,6 @@ def test_dilation_adds_the_26_neighbours_and_nothing_else(cells):
     assert {tuple(int(v) for v in c) for c in cells_of_keys(dilated)} == neighbours(cells)
 
 
-@given(few_cells, few_cells)
-def test_dilation_keeps_unions_and_order(a, b):
-    union = dilate(sorted_keys(np.concatenate([a, b])))
-    assert np.array_equal(union, np.union1d(dilate(sorted_keys(a)), dilate(sorted_keys(b))))
-    assert contains(union, dilate(sorted_keys(a))).all()
-
-
 def test_stray_points_have_no_company_and_a_tables_leg_has():
     rng = np.random.default_rng(5)
     top = rng.uniform((0, 0, 0.7), (1, 0.6, 0.74), (3000, 3))

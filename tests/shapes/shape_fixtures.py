@@ -10,6 +10,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
 from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.ports import Crop, ShapeInputs
+from tests.perception.perception_scenes import looking
 from tools.evaluation.shapes.meshes import MESH_NAMES, test_mesh
 
 __all__ = ["MESH_NAMES", "test_mesh"]
@@ -23,17 +24,6 @@ def as_mesh(shape):
         colors=np.full((count, 3), 128, np.uint8),
         is_seen=np.ones(count, bool),
     )
-
-
-def looking_at(eye, target):
-    """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0, 0, 1])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = eye
-    return pose
 
 
 def ray_scene(meshes):
@@ -69,7 +59,7 @@ def shape_inputs(
         eye = middle + distance * np.array(
             [np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)]
         )
-        pose = looking_at(eye, middle)
+        pose = looking(middle, start=eye)
         depth, hit = cast_view(scene, camera, pose)
         mask = hit == 0
         depth = np.where(np.isfinite(depth), depth * (1 + noise * rng.standard_normal(depth.shape)), np.nan)

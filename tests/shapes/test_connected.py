@@ -1,8 +1,13 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 from hickory_stream.shapes.connected import joined_faces, piece_around, pieces_of
+from hickory_stream.shapes.fit.seeds import chessboard_depth
+from hickory_stream.shapes.inflate.cover import undominated
+from hickory_stream.shapes.reconstruct.meshing import rough_distance
 
 
 @given(st.integers(0, 1000), st.floats(0.2, 0.8), st.tuples(*[st.integers(1, 12)] * 3))
@@ -40,3 +45,47 @@ def test_faces_join_at_vertices_and_open_at_unpaired_edges(seed, num_faces, num_
             piece = piece.union(*(other for other in together if piece & other))
         assert pieces[f] == min(piece)
         assert are_open[f] == any(count != 0 for (a, _), count in balance.items() if a in piece)
+
+
+@given(arrays.arrays(bool, arrays.array_shapes(min_dims=3, max_dims=3, max_side=8), elements=st.booleans()))
+def test_depth_is_the_chessboard_distance_to_what_is_not_solid(solid):
+    assert np.array_equal(chessboard_depth(solid), ndimage.distance_transform_cdt(solid, "chessboard"))
+
+
+@given(st.integers(0, 1000), st.integers(1, 12), st.tuples(*[st.integers(1, 14)] * 3))
+def test_distances_are_those_of_the_transform_up_to_the_reach(seed, reach, shape):
+    rng = np.random.default_rng(seed)
+    solid = ndimage.uniform_filter(rng.random(shape), 3) > rng.uniform(0.35, 0.65)
+    found = rough_distance(solid, reach)
+    far = np.full(shape, float(reach))
+    away = ndimage.distance_transform_edt(~solid) if solid.any() else far
+    deep = ndimage.distance_transform_edt(solid) if not solid.all() else far
+    truth = np.where(solid, 0.5 - np.minimum(deep, reach), np.minimum(away, reach) - 0.5)
+    assert np.array_equal(found, truth.astype(np.float32))
+
+
+def by_definition(points):
+    """Return (N,) which points have no other one beyond them in all three coordinates."""
+    beyond = (points[None] >= points[:, None]).all(axis=2) & (points[None] > points[:, None]).any(axis=2)
+    return np.asarray(~beyond.any(axis=1))
+
+
+@pytest.mark.parametrize("steps", [4, 1000])
+def test_a_point_is_left_out_exactly_if_another_lies_beyond(steps):
+    points = np.floor(np.random.default_rng(7).random((400, 3)) * steps) / steps
+    # On steps so coarse many points share a coordinate: whatever is left out still has one that stands for it.
+    kept = undominated(points)
+    expected = by_definition(points)
+    assert {tuple(point) for point in points[expected]} <= {tuple(point) for point in points[kept]}
+    if steps == 1000:
+        np.testing.assert_array_equal(kept, expected)
+
+
+def test_few_points_of_a_box_decide_and_all_of_a_ball_do():
+    rng = np.random.default_rng(8)
+    ball = np.abs(rng.normal(size=(500, 3)))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    box = rng.random((500, 3))
+    box[np.arange(500), rng.integers(3, size=500)] = 1.0
+    assert undominated(ball).all()
+    assert undominated(np.concatenate([box, np.full((1, 3), 1.001)])).sum() == 1

@@ -10,10 +10,9 @@ from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superqu
 from hickory_stream.shapes.inflate.cover import NET, NET_FACTOR
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflate, inflate_to_cover, inflated
 from tests.shapes.shape_fixtures import as_mesh, test_mesh
+from tests.strategies import quadric
 
-PLATE = Superquadrics(
-    exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([[0.6, 0.4, 0.02]]), world_from_local=np.eye(4)[None]
-)
+PLATE = quadric((0.1, 0.1), (0.6, 0.4, 0.02))
 NO_POINTS = np.empty((0, 3))
 COARSE = FitConfig(cells=24, joint_samples=800)
 
@@ -89,7 +88,7 @@ def test_growing_each_axis_takes_no_more_volume_than_one_factor(before, seed):
 
 
 def test_the_single_factor_is_the_papers_gamma():
-    sphere = Superquadrics(exponents=np.ones((1, 2)), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
+    sphere = quadric((1.0, 1.0), (1.0, 1.0, 1.0))
     after = inflate_to_cover(
         sphere, np.array([[0.0, 0.0, 3.0]]), InflateConfig(rule="single_factor", g=0.25, r_safe_m=0.0)
     )
@@ -216,7 +215,7 @@ def test_without_a_primitive_a_box_takes_its_place_and_says_so():
 def box_like(half, at=(0, 0, 0)):
     pose = np.eye(4)
     pose[:3, 3] = at
-    return Superquadrics(exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([half]), world_from_local=pose[None])
+    return quadric((0.1, 0.1), half, pose)
 
 
 def block(size, at):

@@ -1,13 +1,21 @@
+from dataclasses import replace
 from functools import cache
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import cKDTree
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, steps_of
-from hickory_stream.geometry.mesh import is_closed, sha256_of, volume_m3
-from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import NoShape, ShapeInputs
-from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
+from hickory_stream.geometry.mesh import Mesh, is_closed, sha256_of, volume_m3
+from hickory_stream.geometry.rigid import apply, from_rotation_translation
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor, seen_shares
+from hickory_stream.shapes.generated.blend import blended
+from hickory_stream.shapes.generated.distance_field import even_samples
+from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 from tests.shapes.shape_fixtures import occupancy_iou, shape_inputs, test_mesh
+from tests.strategies import quadric
+from tools.evaluation.shapes.spoiled_generator import plain_mesh
 
 CONFIG = ShapeConfig()
 
@@ -120,3 +128,65 @@ def test_a_build_has_all_layers_and_contains_the_object(reconstructor):
     assert set(built.timings_s) == {"reconstruct", "fit", "inflate"}
     # What was certified is what is stored, in half of the bytes.
     assert steps_of(built.reconstruction.mesh.vertices, MESH_STEPS_PER_M) is not None
+
+
+@pytest.mark.parametrize(("cut", "share"), [(-1.0, 1.0), (0.0, 0.5), (0.25, 0.25), (1.0, 0.0)])
+def test_the_seen_share_is_that_of_the_area(cut, share):
+    # Of a ball, the area above a height is proportional to what is left of the diameter.
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
+    place = from_rotation_translation(np.eye(3), np.array([2.0, -1.0, 0.5]))
+    reconstruction = Reconstruction(
+        mesh=Mesh(
+            vertices=ball.vertices.astype(np.float32),
+            faces=ball.faces.astype(np.int32),
+            colors=np.zeros((len(ball.vertices), 3), np.uint8),
+            is_seen=np.asarray(ball.vertices[:, 2] > cut),
+        ),
+        world_from_object=place,
+    )
+    fitted = quadric((1.0, 1.0), (0.5, 0.5, 0.5), place)
+    assert seen_shares(fitted, reconstruction) == pytest.approx([share], abs=0.02)
+
+
+VOLUME = VolumeConfig(cells=32)
+
+
+def body(size, at=(0, 0, 0)):
+    return trimesh.creation.box(size).apply_translation((at[0], at[1], at[2] + size[2] / 2))
+
+
+@pytest.fixture(scope="module")
+def seen_box():
+    """A box of 0.4 x 0.3 x 0.5 m, seen from one side."""
+    return shape_inputs(body((0.4, 0.3, 0.5)), 2, azimuths_rad=(0.3, 0.9), noise=0.002)
+
+
+def joined(made, seen_box):
+    mesh = plain_mesh(np.asarray(made.vertices), np.asarray(made.faces))
+    answer = blended(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen_box, VOLUME)
+    return answer, apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
+
+
+def test_it_passes_through_what_was_measured_and_keeps_the_rest(seen_box):
+    # 3 cm too wide all round: the seen sides are drawn in, the unseen back stays.
+    answer, vertices = joined(body((0.46, 0.36, 0.5)), seen_box)
+    assert is_closed(answer.mesh)
+    seen = vertices[answer.mesh.is_seen]
+    true, _ = even_samples(body((0.4, 0.3, 0.5)).vertices, body((0.4, 0.3, 0.5)).faces.astype(np.int32), 20_000)
+    gaps, _ = cKDTree(true).query(seen)
+    assert np.quantile(gaps, 0.9) < 0.02
+    assert 0.3 < answer.mesh.is_seen.mean() < 0.9
+    # Cameras look from +x and +y.
+    assert vertices[:, 0].max() < 0.22
+    # Two voxels of 17 mm at most.
+    assert -0.27 < vertices[:, 0].min() < -0.215
+
+
+def test_shape_in_free_space_or_under_the_support_is_cut(seen_box):
+    shelf = trimesh.util.concatenate([body((0.4, 0.3, 0.5)), body((0.3, 0.1, 0.1), at=(0.3, 0, 0.3))])
+    _, vertices = joined(shelf, seen_box)
+    assert vertices[:, 0].max() < 0.25
+    _, vertices = joined(body((0.4, 0.3, 0.6), at=(0, 0, -0.1)), seen_box)
+    assert vertices[:, 2].min() > -0.02
+    _, vertices = joined(body((0.4, 0.3, 0.6), at=(0, 0, -0.1)), replace(seen_box, support_z_m=None))
+    assert vertices[:, 2].min() < -0.05

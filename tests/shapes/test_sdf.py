@@ -3,7 +3,9 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.shapes.sdf import distance_grid
+from hickory_stream.shapes.fit.envelope import filled
+from hickory_stream.shapes.sdf import distance_grid, lower_to_distances
+from tools.evaluation.shapes.meshes import hollow_mesh, test_mesh
 
 
 def grid_of(mesh, cells=32):
@@ -54,3 +56,55 @@ def test_overlapping_parts_are_one_solid():
 def test_a_mesh_of_one_point_is_refused():
     with pytest.raises(ValueError, match="no distance field"):
         distance_grid(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32), cells=16, band_cells=3.0)
+
+
+def squared_distance(point, triangle):
+    """Return the least of the squared distances to points of a triangle, by many steps along it."""
+    shares = np.linspace(0, 1, 101)
+    v, w = (side.ravel() for side in np.meshgrid(shares, shares))
+    v, w = v[v + w <= 1], w[v + w <= 1]
+    a, b, c = triangle
+    return float(np.square(a + v[:, None] * (b - a) + w[:, None] * (c - a) - point).sum(axis=1).min())
+
+
+@given(st.integers(0, 1000), st.floats(0.5, 12.0))
+def test_distances_are_those_to_the_nearest_triangle(seed, size):
+    rng = np.random.default_rng(seed)
+    corners = 4 + rng.uniform(-size / 2, size / 2, (3, 3, 3))
+    squared = np.full((9, 9, 9), np.float32(9.0))
+    # Nothing is buried where there is no solid.
+    lower_to_distances(corners, np.zeros(squared.shape, bool), squared, 3.0)
+    for cell in rng.integers(0, 9, (20, 3)):
+        truth = min(squared_distance(cell, triangle) for triangle in corners)
+        found = float(squared[tuple(cell)])
+        # The steps along a triangle are a hundredth of its sides.
+        assert found <= min(truth, 9.0) + 1e-4
+        assert np.sqrt(found) >= np.sqrt(min(truth, 9.0)) - 0.02 * size
+
+
+def test_surface_within_a_solid_does_not_count():
+    triangle = np.array([[[4.0, 4.0, 3.0], [4.0, 4.0, 5.0], [4.0, 5.0, 4.0]]])
+    squared = np.full((9, 9, 9), np.float32(9.0))
+    lower_to_distances(triangle, np.ones(squared.shape, bool), squared, 3.0)
+    assert (squared == 9.0).all()
+
+
+def volume_of(grid):
+    return float((grid.values < 0).sum() * grid.step_m**3)
+
+
+def test_a_bowl_is_filled_to_its_rim():
+    found = filled(grid_of(hollow_mesh("bowl")))
+    half_a_ball = 2 / 3 * np.pi * 0.12**3
+    assert abs(volume_of(found) / half_a_ball - 1) < 0.12
+    assert np.abs(found.values).max() <= found.band_m + 1e-9
+
+
+def test_a_pipe_is_filled():
+    found = filled(grid_of(trimesh.creation.annulus(r_min=0.09, r_max=0.1, height=0.4, sections=32)))
+    assert abs(volume_of(found) / (np.pi * 0.1**2 * 0.4) - 1) < 0.12
+
+
+def test_what_encloses_nothing_has_no_envelope():
+    for name in ("box", "torus", "chair", "table", "shelf"):
+        assert filled(grid_of(test_mesh(name))) is None, name
