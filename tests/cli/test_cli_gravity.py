@@ -5,7 +5,7 @@ from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA
 from hickory_stream.geometry.rigid import from_rotation_translation
 from tests.cli.test_cli import answer, ended_as, look, said
 from tests.cli.test_cli_strange_walks import log_of
-from tests.mapping.test_bad_gravity import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE
+from tests.mapping.test_floor_notes import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE
 
 
 def tilted_log(folder, tilt_deg, boxes=SCENE_BOXES, poses=CIRCLE):

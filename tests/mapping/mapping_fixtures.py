@@ -18,17 +18,15 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.entities.observed_space import empty_space
 from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
+from tests.strategies import quadric
 
 VOXEL_M = 0.02
 SECOND_NS = 1_000_000_000
-
-Triple = tuple[float, float, float]
 
 
 def box_surface(center, size=(0.2, 0.2, 0.2), yaw_rad=0.0):
@@ -108,7 +106,7 @@ def feature(index, variance):
 
 
 def shape(ticket):
-    unit = Superquadrics(exponents=np.ones((1, 2)), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
+    unit = quadric((1.0, 1.0), (1.0, 1.0, 1.0))
     return ObjectShape(
         revision=ticket, reconstructor="fused", mesh_name=f"{ticket:06d}.glb", mesh_sha256="0" * 64,
         world_from_object=np.eye(4), fitted=unit, inflated=unit, seen_share=np.ones(1),

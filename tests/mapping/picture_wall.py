@@ -6,6 +6,7 @@ from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.records import Frame, Segmentation
+from tests.perception.perception_scenes import looking
 
 CAMERA = Camera(width=640, height=480, fx=350.0, fy=350.0, cx=319.5, cy=239.5)
 _BASELINE_M, _STEPS_PER_PX, _CORRELATION_PX = 0.12, 16, 3.0
@@ -32,7 +33,7 @@ def frames(distance_m, count, sigma_per_m, seed=0):
     made = []
     for index in range(count):
         place = np.array([distance_m, 0.0, 1.5]) + rng.uniform(-1, 1, 3) * (0.1 * distance_m, 0.25 * distance_m, 0.2)
-        pose = _looking_at(place, np.array([0.0, rng.uniform(-0.2, 0.2), 1.5]))
+        pose = looking((0.0, rng.uniform(-0.2, 0.2), 1.5), start=place)
         depth, labels = _rendered(pose)
         made.append((
             Frame(
@@ -42,13 +43,6 @@ def frames(distance_m, count, sigma_per_m, seed=0):
             Segmentation(instances=labels, structure=labels == 0),
         ))  # fmt: skip
     return made
-
-
-def _looking_at(place, target):
-    forward = (target - place) / np.linalg.norm(target - place)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), place)
 
 
 def _rendered(world_from_camera):

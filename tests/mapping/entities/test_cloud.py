@@ -3,11 +3,23 @@ from dataclasses import replace
 from functools import reduce
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps, points_of, steps_of
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells, keys_of_points
-from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, fuse, is_near, share_near, solid_part, without
+from hickory_stream.mapping.entities.cloud import (
+    NAMES,
+    Cloud,
+    cloud_of,
+    fuse,
+    is_near,
+    is_packed,
+    pack,
+    pack_part,
+    share_near,
+    solid_part,
+    without,
+)
 from tests.strategies import frame_clouds, integer_cells, seeds
 
 VOXEL_M = 0.01
@@ -28,13 +40,9 @@ def cells_cloud(cells):
     return Cloud(keys=keys, points=points, colors=points, hits=np.ones(len(keys), dtype=np.int32))
 
 
-@given(frame_clouds(), frame_clouds())
-def test_fusing_is_commutative(a, b):
-    assert_same(fuse(a, b), fuse(b, a))
-
-
 @given(frame_clouds(), frame_clouds(), frame_clouds())
-def test_fusing_is_associative(a, b, c):
+def test_fusing_is_commutative_and_associative(a, b, c):
+    assert_same(fuse(a, b), fuse(b, a))
     assert_same(fuse(fuse(a, b), c), fuse(a, fuse(b, c)))
 
 
@@ -80,14 +88,6 @@ def test_one_frame_hits_a_voxel_once(seed):
     assert (cloud.hits == 1).all()
 
 
-@given(frame_clouds(), st.integers(2, 5))
-def test_the_same_frame_again_adds_hits_and_no_voxel(cloud, times):
-    again = reduce(fuse, [cloud] * times)
-    assert np.array_equal(again.keys, cloud.keys)
-    assert np.allclose(again.points, cloud.points, atol=STEP_M + 1e-6)
-    assert (again.hits == times * cloud.hits).all()
-
-
 @given(frame_clouds(), seeds)
 def test_dropping_voxels_leaves_the_others_as_they_were(cloud, seed):
     drop = np.random.default_rng(seed).random(len(cloud.keys)) > 0.5
@@ -100,14 +100,6 @@ def test_dropping_voxels_leaves_the_others_as_they_were(cloud, seed):
 def test_near_is_what_a_search_of_all_27_cells_finds(cells, queries):
     expected = [bool((np.abs(cells - query).max(axis=1) <= 1).any()) if len(cells) else False for query in queries]
     assert is_near(keys_of_cells(queries), cells_cloud(cells)).tolist() == expected
-
-
-@given(integer_cells(max_size=20))
-def test_every_voxel_of_a_cloud_is_near_it(cells):
-    cloud = cells_cloud(cells)
-    assert is_near(cloud.keys, cloud).all()
-    shifted = keys_of_cells(cells_of_keys(cloud.keys) + np.array([1, -1, 1]))
-    assert is_near(shifted, cloud).all()
 
 
 def test_shares_near_count_all_of_few_voxels_and_sample_many():
@@ -183,3 +175,64 @@ def test_points_that_are_one_per_voxel_already_are_the_cloud(seed):
         assert np.array_equal(cloud.keys, keys)
         assert np.array_equal(cloud.points, points)
         assert np.array_equal(cloud.colors, colors.astype(np.float32))
+
+
+def random_cloud(steps, seed):
+    count, rng = len(steps), np.random.default_rng(seed)
+    return Cloud(
+        keys=np.cumsum(steps, dtype=np.int64) - (1 << 40),
+        points=rng.normal(size=(count, 3)).astype(np.float32),
+        colors=rng.uniform(0, 255, (count, 3)).astype(np.float32),
+        hits=rng.integers(1, 9, count).astype(np.int32),
+    )
+
+
+def bytes_of(cloud):
+    return [(array.dtype.str, array.shape, array.tobytes()) for array in [getattr(cloud, name) for name in NAMES]]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(1, 1 << 45), min_size=1, max_size=20), st.integers(0, 5), st.booleans())
+def test_a_cloud_and_a_part_of_it_come_back_to_the_byte(steps, seed, is_other):
+    whole = random_cloud(steps, seed)
+    part = random_cloud(steps, seed + 1) if is_other else without(whole, whole.hits < 4)
+    before, counts = (bytes_of(whole), bytes_of(part)), (len(whole), len(part))
+    pack_part(part, whole)
+    pack_part(part, whole)
+    assert is_packed(whole)
+    assert is_packed(part)
+    assert (len(whole), len(part)) == counts
+    assert is_packed(whole)
+    # A part does not wake the whole that it is made from.
+    assert bytes_of(part) == before[1]
+    assert is_packed(whole)
+    assert not is_packed(part)
+    assert bytes_of(whole) == before[0]
+    pack(whole)
+    assert bytes_of(whole) == before[0]
+
+
+def test_earlier_packed_clouds_are_released_without_compressing():
+    cloud, kept = random_cloud([1, 2, 3], 0), list[bytes]()
+    before = bytes_of(cloud)
+
+    def keep(data):
+        kept.append(data)
+        return lambda: data
+
+    pack(cloud, keep)
+    assert bytes_of(cloud) == before
+    assert not is_packed(cloud)
+    pack(cloud, keep)
+    assert is_packed(cloud)
+    assert len(kept) == len(NAMES)
+    assert bytes_of(cloud) == before
+
+
+def test_a_cloud_that_is_its_own_part_is_packed_once():
+    cloud = random_cloud([1, 2, 3], 0)
+    before = bytes_of(cloud)
+    pack_part(cloud, cloud)
+    assert is_packed(cloud)
+    assert bytes_of(cloud) == before
+    assert not hasattr(cloud, "no_such_array")

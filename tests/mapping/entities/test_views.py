@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.mapping.derived import ViewUse
+from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import (
     CUT_FACTOR,
     ViewConfig,
@@ -17,7 +19,7 @@ from hickory_stream.mapping.entities.views import (
     sector_of,
     usefulness,
 )
-from tests.mapping.mapping_fixtures import view
+from tests.mapping.mapping_fixtures import box_surface, track, view
 from tests.strategies import unit_share, views
 
 CONFIG = ViewConfig()
@@ -55,32 +57,10 @@ def test_a_view_cut_by_the_border_is_worth_less():
     assert score(cut, 0.3, ViewConfig(strategy="max_area")) == score(whole, 0.3, ViewConfig(strategy="max_area"))
 
 
-@given(unit_share, unit_share, unit_share, unit_share)
-def test_more_of_anything_never_lowers_s(variance, r_area, r_depth, more):
-    least = s_score(variance, r_area, r_depth, CONFIG)
-    assert s_score(max(variance, more), r_area, r_depth, CONFIG) >= least
-    assert s_score(variance, max(r_area, more), r_depth, CONFIG) >= least
-    assert s_score(variance, r_area, max(r_depth, more), CONFIG) >= least
-
-
 @given(views(), unit_share, st.sampled_from(STRATEGIES))
 def test_no_feature_variance_lifts_the_score_above_the_bound(seen, variance, strategy):
     config = ViewConfig(strategy=strategy)
     assert score(seen, variance, config) <= score_bound(seen, config)
-
-
-@given(st.lists(st.tuples(views(), unit_share), min_size=1, max_size=12), st.sampled_from(STRATEGIES))
-def test_leaving_out_what_the_bound_rules_out_changes_no_choice(seen, strategy):
-    config = ViewConfig(strategy=strategy)
-    best = None
-    best_of_all = None
-    for i, (bare, variance) in enumerate(seen):
-        candidate = replace(bare, frame_index=i, score=None)
-        judged = replace(candidate, score=score(candidate, variance, config))
-        best_of_all = better(best_of_all, judged)
-        if best is None or best.score is None or score_bound(candidate, config) > best.score:
-            best = better(best, judged)
-    assert best == best_of_all
 
 
 @given(st.lists(st.tuples(views(), unit_share), min_size=1, max_size=8), st.sampled_from(STRATEGIES))
@@ -157,3 +137,17 @@ def test_a_kept_view_yields_only_to_a_clearly_better_one(a, b):
     assert covers_better(a, None)
     assert not (covers_better(a, b) and covers_better(b, a))
     assert not covers_better(a, a)
+
+
+def test_a_view_placed_before_counting_is_unused():
+    bare = track(1, box_surface((0, 0, 0.1)))
+    first, second, third = (view(k) for k in (1, 2, 3))
+    tracks, elsewhere, use = TrackTable({1: replace(bare, best_view=first)}), TrackTable({}), ViewUse()
+    kept = {first.name}
+    assert use.unused(tracks, elsewhere, {}, {}, kept) == []
+    for now in (second, third):
+        tracks[1] = replace(bare, best_view=now)
+        kept.add(now.name)
+        use.ask_for(now.name)
+    assert use.unused(tracks, elsewhere, {}, {}, kept) == sorted([first.name, second.name])
+    assert use.unused(tracks, elsewhere, {}, {}, {third.name}) == []

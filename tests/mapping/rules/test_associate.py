@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.mapping.entities.track_table import TrackTable
-from hickory_stream.mapping.rules.association import AssociateConfig, Match, associate
+from hickory_stream.mapping.rules.association import AssociateConfig, Match, associate, one_to_one
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, observation, track
 
 CONFIG = AssociateConfig()
@@ -28,7 +28,7 @@ def pairs(matches):
 
 
 @given(places, places)
-def test_whole_matches_are_one_to_one_and_have_the_least_iou(seen, known):
+def test_whole_matches_are_one_to_one_and_of_the_best_pairs(seen, known):
     tracks = [track(i + 1, at(place)) for i, place in enumerate(known)]
     observations = [observation(i, at(place)) for i, place in enumerate(seen)]
     matches = matched(observations, *tracks)
@@ -40,18 +40,12 @@ def test_whole_matches_are_one_to_one_and_have_the_least_iou(seen, known):
         assert match.iou == pytest.approx(true_iou)
         assert match.iou >= CONFIG.min_iou
     assert [m.observation_index for m in matches] == list(range(len(seen)))
-
-
-@given(places, places)
-def test_no_unmatched_pair_beats_the_match_of_either_half(seen, known):
-    tracks = [track(i + 1, at(place)) for i, place in enumerate(known)]
-    observations = [observation(i, at(place)) for i, place in enumerate(seen)]
-    by_box = {m.observation_index: m for m in matched(observations, *tracks) if m.lies_on == 0 and m.track_id}
-    took = {m.track_id: m for m in by_box.values()}
+    # No unmatched pair beats the match of either half.
+    of_seen, took = ({getattr(m, name): m for m in by_box} for name in ("observation_index", "track_id"))
     for one in observations:
         for other in tracks:
             iou = box_iou(one.box, other.box)
-            rivals = [m.iou for m in (by_box.get(one.index), took.get(other.id)) if m is not None]
+            rivals = [m.iou for m in (of_seen.get(one.index), took.get(other.id)) if m is not None]
             assert iou < CONFIG.min_iou or max(rivals) >= iou - 1e-12
 
 
@@ -97,14 +91,6 @@ def test_ties_go_to_the_lower_track_and_the_first_observation():
     assert (second.track_id, second.is_part) == (5, True)
 
 
-def test_the_better_pair_is_made_first():
-    left, right = box_surface((0, 0, 0.1)), box_surface((0.05, 0, 0.1))
-    known = track(1, box_surface((0.05, 0, 0.1)))
-    matches = matched([observation(0, left), observation(1, right)], known)
-    assert matches[1].track_id == 1
-    assert not matches[1].is_part
-
-
 def test_a_partial_view_that_lies_on_a_track_goes_to_it():
     table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
     seen = observation(0, table[(table[:, 0] > 0.4) & (table[:, 1] > 0.2)])
@@ -143,3 +129,10 @@ def test_a_thing_seen_again_a_little_off_is_the_same_track(yaw_rad, off):
     known = track(9, box_surface((0, 0, 0.1), yaw_rad=yaw_rad))
     again = observation(0, box_surface((off * SIDE, 0, 0.1), yaw_rad=yaw_rad))
     assert pairs(matched([again], known)) == {0: 9}
+
+
+def test_the_best_pairs_come_first_and_take_both_members():
+    assert one_to_one([(1, 7), (1, 8), (2, 7), (2, 8), (3, 9)], of_one_kind=False) == [(1, 7), (2, 8), (3, 9)]
+    ranked = [(1, 2), (2, 3), (4, 1), (4, 3)]
+    assert one_to_one(ranked, of_one_kind=True) == [(1, 2), (4, 3)]
+    assert one_to_one(ranked, of_one_kind=False) == [(1, 2), (2, 3), (4, 1)]

@@ -26,7 +26,7 @@ from hickory_stream.mapping.rules.lifecycle import (
     transition,
 )
 from hickory_stream.mapping.rules.merging import merge
-from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, TrackTransition, end_tracks
+from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, TrackTransition, end_tracks, is_seen_through
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, space, track
 
@@ -233,3 +233,8 @@ def test_the_table_is_printed_in_the_documentation():
     table = life_cycle_table()
     assert len(table.splitlines()) == len(LIFE_CYCLE) + 2
     assert table in PAGE.read_text(encoding="utf-8"), "run tools/write_life_cycle"
+
+
+def test_what_rays_passed_for_the_most_part_was_looked_through():
+    assert is_seen_through(track(1, BOX), FREE, CONFIG)
+    assert not is_seen_through(track(1, BOX), FREE[: len(FREE) // 2], CONFIG)

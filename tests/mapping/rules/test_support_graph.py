@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.entities.observed_space import add, as_record, empty_space, known_space
-from hickory_stream.mapping.rules.support_graph import Relation, Support, SupportGraph
+from hickory_stream.mapping.rules.support_graph import Relation, Support, SupportGraph, attachment_of
+from hickory_stream.mapping.rules.support_relations import is_inner_part, is_leg, is_on_foot
 from tests.mapping.mapping_fixtures import box_surface, graph_of, space, track
 
 SPACE_M = 0.05
@@ -19,16 +21,14 @@ def mug(bottom_m, x=0.2, track_id=2):
     return track(track_id, box_surface((x, 0.1, bottom_m + 0.05), (0.08, 0.08, 0.1)))
 
 
-def room():
-    """A room with its floor at 0 that is free up to a wall at x = 0.9."""
+def room(*, free=True, wall_x_m=0.9):
+    """A room with its floor at 0 that is free, if one looked, up to a wall."""
     steps = np.arange(-1.0, 1.0, 0.025)
     grid = np.stack(np.meshgrid(steps, steps, np.arange(0.1, 1.5, 0.025), indexing="ij"), axis=-1).reshape(-1, 3)
-    is_wall = np.abs(grid[:, 0] - 0.9) < 0.02
-    free, wall = (keys_of_points(points.astype(np.float32), SPACE_M) for points in (grid[~is_wall], grid[is_wall]))
-    state = empty_space(SPACE_M)
-    for _ in range(2):
-        state = add(state, space(free=free, structure=wall, floor_z_m=0.0))
-    return state
+    is_wall = np.abs(grid[:, 0] - wall_x_m) < 0.02
+    open_keys, wall = (keys_of_points(points.astype(np.float32), SPACE_M) for points in (grid[~is_wall], grid[is_wall]))
+    seen = space(free=open_keys if free else None, structure=wall, floor_z_m=0.0)
+    return add(add(empty_space(SPACE_M), seen), seen)
 
 
 def on(body, *others, floor_z_m=0.0):
@@ -142,3 +142,56 @@ def test_the_graph_follows_the_bodies_that_it_was_made_of():
     assert isinstance(graph, SupportGraph)
     del bodies[1]
     assert graph.rests_on(bodies[2]) is None
+
+
+def test_a_branch_in_the_air_belongs_to_the_nearest_thing():
+    host = attachment_of(BRANCH, [POT, BRANCH, track(3, box_surface((0.8, 0.0, 0.3), (0.2, 0.2, 0.6)))], room())
+    assert host.id == POT.id
+
+
+@pytest.mark.parametrize(
+    ("body", "others", "state"),
+    [
+        (BRANCH, [POT, track(3, box_surface((0.32, 0.0, 0.34), (0.3, 0.3, 0.68)))], room()),
+        (BRANCH, [POT], room(wall_x_m=0.42)),
+        (BRANCH, [POT], room(free=False)),
+        (BRANCH, [track(3, box_surface((0.8, 0.0, 0.3), (0.2, 0.2, 0.6)))], room()),
+        (track(2, box_surface((0.3, 0.0, 0.2), (0.2, 0.2, 0.1))), [POT], room()),
+    ],
+    ids=["it stands on something", "it hangs on a wall", "nobody saw what is below", "nothing is near", "the floor is"],
+)
+def test_a_supported_or_lone_track_stays_itself(body, others, state):
+    assert attachment_of(body, [*others, body], state) is None
+
+
+def test_a_panel_between_legs_is_a_part_and_a_bin_there_is_not():
+    top = box_surface((0.0, 0.0, 0.72), (0.6, 1.2, 0.04))
+    legs = [box_surface((x, y, 0.35), (0.05, 0.05, 0.7)) for x in (-0.27, 0.27) for y in (-0.57, 0.57)]
+    desk = track(1, np.concatenate([top, *legs]))
+    panel = track(2, box_surface((-0.27, 0.0, 0.5), (0.02, 1.1, 0.36)))
+    bin_ = track(3, box_surface((0.0, 0.0, 0.15), (0.25, 0.25, 0.3)))
+    assert is_inner_part(panel, desk, [])
+    assert not is_inner_part(bin_, desk, [])
+
+
+def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it():
+    boards = [box_surface((0.0, 0.0, z), (0.3, 0.8, 0.02)) for z in (0.05, 0.45, 0.85)]
+    sides = [box_surface((0.0, y, 0.45), (0.3, 0.02, 0.9)) for y in (-0.4, 0.4)]
+    shelf = track(1, np.concatenate([*boards, *sides]))
+    assert not is_inner_part(track(2, box_surface((0.0, 0.1, 0.51), (0.2, 0.1, 0.1))), shelf, [])
+
+
+def test_a_pedestal_is_a_leg_of_its_desk_and_a_speaker_is_not():
+    assert is_leg(PEDESTAL, DESK)
+    speaker = track(4, box_surface((0.0, 0.545, 0.4), (0.3, 0.3, 0.8)))
+    # An early view took the foot of the speaker for the shelf's.
+    foot = box_surface((0.0, 0.55, 0.02), (0.3, 0.3, 0.04))
+    shelf = track(3, np.concatenate([box_surface((0.0, 0.0, 0.9), (0.4, 0.8, 1.8)), foot]))
+    assert intersection_volume_m3(speaker.box, shelf.box) > 0.9 * speaker.box.volume_m3
+    assert not is_leg(speaker, shelf)
+
+
+def test_a_seat_has_its_foot_and_a_pot_on_a_counter_does_not():
+    assert is_on_foot(SEAT, FOOT)
+    counter = track(3, box_surface((0.0, 0.0, 0.44), (0.6, 1.4, 0.88)))
+    assert not is_on_foot(track(4, box_surface((0.0, 0.3, 0.96), (0.22, 0.22, 0.16))), counter)
