@@ -160,8 +160,8 @@ def undisturbed_run(tmp_path_factory):
     return map_scene(tmp_path_factory.mktemp("undisturbed"), child_workers=True)
 
 
-def copy_log(source, target, *, seconds):
-    """Write the beginning of an MCAP file to another one."""
+def copy_log(source, target, *, seconds, topic_of=str, data_of=bytes):
+    """Write the beginning of an MCAP file to another one, with other topics and content if asked for."""
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
@@ -173,7 +173,9 @@ def copy_log(source, target, *, seconds):
         for schema, channel, message in reader.iter_messages(ending_before=end_ns):
             if channel.id not in channels:
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+                topic = topic_of(channel.topic)
+                channels[channel.id] = writer.register_channel(topic, channel.message_encoding, schema_id)
+            data = data_of(message.data)
+            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
         writer.finish()
     return target

@@ -5,7 +5,7 @@ camera, so that what a player yields can be compared with what a camera at that 
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from hickory_stream.geometry.rigid import (
     rotation_from_quaternion,
     yaw_rotation,
 )
+from tools.worlds.layouts import RosMessages
 
 CAMERA = Camera(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
 START_NS = 1_700_000_000_123_456_789
@@ -136,101 +137,25 @@ def write_posed_folder(folder, frames, camera=CAMERA):
     return folder
 
 
-class Messages:
+class Messages(RosMessages):
     """Builds ROS messages of one version: `ros` is 1 or 2."""
 
-    def __init__(self, ros):
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        self.ros = ros
-        self.store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
-        if ros == 1:
-            tf_message = "geometry_msgs/TransformStamped[] transforms"
-            self.store.register(get_types_from_msg(tf_message, "tf2_msgs/msg/TFMessage"))
-
-    def make(self, type_name, **fields):
-        return self.store.types[type_name](**fields)
-
-    def header(self, stamp_ns, frame):
-        stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-        sequence = {"seq": 0} if self.ros == 1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
-
     def image(self, stamp_ns, frame, encoding, pixels, padding=0):
-        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
-        data = np.pad(rows, ((0, 0), (0, padding)))
-        return self.make(
-            "sensor_msgs/msg/Image", header=self.header(stamp_ns, frame), height=pixels.shape[0], width=pixels.shape[1],
-            encoding=encoding, is_bigendian=int(pixels.dtype.byteorder == ">"), step=data.shape[1], data=data.ravel(),
-        )  # fmt: skip
-
-    def compressed(self, stamp_ns, frame, image_format, data):
-        return self.make(
-            "sensor_msgs/msg/CompressedImage",
-            header=self.header(stamp_ns, frame),
-            format=image_format,
-            data=np.frombuffer(data, dtype=np.uint8),
-        )
+        made = super().image(stamp_ns, frame, encoding, pixels)
+        rows = np.pad(made.data.reshape(made.height, -1), ((0, 0), (0, padding)))
+        is_bigendian = int(pixels.dtype.byteorder == ">")
+        return replace(made, is_bigendian=is_bigendian, step=rows.shape[1], data=rows.ravel())
 
     def camera_info(self, stamp_ns, frame, camera, distortion=(0.0,) * 5):
-        region = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
-        matrices = {
-            "d": np.array(list(distortion)),
-            "k": camera.K.ravel(),
-            "r": np.eye(3).ravel(),
-            "p": np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
-        }
-        return self.make(
-            "sensor_msgs/msg/CameraInfo", header=self.header(stamp_ns, frame), height=camera.height, width=camera.width,
-            distortion_model="plumb_bob", binning_x=0, binning_y=0, roi=region,
-            **{name.upper() if self.ros == 1 else name: value for name, value in matrices.items()},
-        )  # fmt: skip
+        made = super().camera_info(stamp_ns, frame, camera, "plumb_bob", len(distortion))
+        return replace(made, **{self.camera_matrices[0]: np.array(list(distortion))})
 
     def pose(self, a_from_b):
-        x, y, z, qx, qy, qz, qw = pose_row(a_from_b)
-        position = self.make("geometry_msgs/msg/Point", x=x, y=y, z=z)
-        return self.make(
-            "geometry_msgs/msg/Pose",
-            position=position,
-            orientation=self.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
-        )
+        return self.odometry(0, "", "", a_from_b).pose.pose
 
     def pose_stamped(self, stamp_ns, parent, a_from_b):
         header = self.header(stamp_ns, parent)
         return self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self.pose(a_from_b))
-
-    def odometry(self, stamp_ns, parent, child, parent_from_child):
-        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
-        pose = self.pose(parent_from_child)
-        return self.make(
-            "nav_msgs/msg/Odometry",
-            header=self.header(stamp_ns, parent),
-            child_frame_id=child,
-            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-        )
-
-    def tf(self, stamp_ns, *links):
-        transforms = []
-        for parent, child, parent_from_child in links:
-            pose = self.pose(parent_from_child)
-            translation = self.make(
-                "geometry_msgs/msg/Vector3", x=pose.position.x, y=pose.position.y, z=pose.position.z
-            )
-            transforms.append(
-                self.make(
-                    "geometry_msgs/msg/TransformStamped",
-                    header=self.header(stamp_ns, parent),
-                    child_frame_id=child,
-                    transform=self.make(
-                        "geometry_msgs/msg/Transform", translation=translation, rotation=pose.orientation
-                    ),
-                )
-            )
-        return self.make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
 
 RAW_COLOR = "/cam/color/image_rect"

@@ -1,17 +1,27 @@
 import dataclasses
 import json
+import math
+import re
 import tomllib
 from typing import get_args, get_type_hints
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.base.config_text import from_dict, read_config, to_toml
 from hickory_stream.base.former_keys import FORMER_KEYS, fixed_keys, with_current_names
-from hickory_stream.base.ranges import ranges_of
+from hickory_stream.base.ranges import Ranged, check_order, number, ranges_of
 from hickory_stream.config import MapperConfig, RunConfig, as_far_as_known
-from hickory_stream.errors import ConfigError
+from hickory_stream.errors import ConfigError, RangeError
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.merging.merge_maps import MergeMapsConfig
+from hickory_stream.navigation.robot import Part, Posture, Robot
+from hickory_stream.navigation.search import SearchConfig
 from hickory_stream.settings import SET_OFTEN, Settings
+from players.options import SourceOptions
+from players.poses.tracks import JumpLimits
+from players.profile import Intrinsics, Profile
 
 
 def leaves(kind, where=""):
@@ -131,18 +141,7 @@ def test_an_override_below_a_value_is_refused():
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[mapper.keyframes]\nmin_intervall_s = 1.0", "did you mean mapper.keyframes.min_interval_s?"),
-        ("[maper.run]\nworkers = 1", "unknown configuration key maper; did you mean mapper?"),
-        ("[mapper.run]\nzebra = 1", "known keys: accept_licence, cluster, "),
-    ],
-)
-def test_a_misspelt_key_is_refused_with_the_nearest_one(file, text, told):
-    assert told in refusal(file, text)
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
+        # Of an earlier version.
         ("[mapper.perception.observe]\nvoxel_m = 0.02", "set mapper.mapping.voxels.object_m"),
         ("[mapper.mapping.track]\nvoxel_m = 0.02", "set mapper.mapping.voxels.object_m"),
         ("[mapper.perception.space]\nvoxel_m = 0.1", "set mapper.mapping.voxels.space_m"),
@@ -153,9 +152,24 @@ def test_a_misspelt_key_is_refused_with_the_nearest_one(file, text, told):
         ("[mapper.mapping.views]\nbetter_by = 2", "views.better_by is no setting any more: it is fixed at 1.4 now"),
         ("[mapper.mapping.merge]\nmin_votes = 4", "observation counts now, by mapping.merge.min_together_s"),
         ("[mapper.mapping.support]\nlevel_m = 0.2", "support.level_m is no setting any more: it is fixed at 0.15 now"),
+        # Misspelt.
+        ("[mapper.keyframes]\nmin_intervall_s = 1.0", "did you mean mapper.keyframes.min_interval_s?"),
+        ("[maper.run]\nworkers = 1", "unknown configuration key maper; did you mean mapper?"),
+        ("[mapper.run]\nzebra = 1", "known keys: accept_licence, cluster, "),
+        # Of the wrong type.
+        ('[mapper.run]\nworkers = "two"', "mapper.run.workers is 'two'; expected int"),
+        ("[mapper.run]\nworkers = 1.5", "mapper.run.workers is 1.5; expected int"),
+        ("[mapper.run]\nworkers = true", "mapper.run.workers is True; expected int"),
+        ("[mapper.run]\ngrace_s = false", "mapper.run.grace_s is False; expected float"),
+        ("[mapper]\nrun = 3", "mapper.run is a section, found 3"),
+        ("[rerun]\nbind = 1", "rerun.bind is 1; expected str"),
+        ('[mapper.mapping.views]\nstrategy = "best"', "expected one of 's_score', 'initial', 'max_area'"),
+        ('[mapper.shapes]\nreconstructor = "sam"', "expected one of 'fused', 'single_view'"),
+        # Out of the range that its owner has.
+        ("[disk]\nevery_keyframes = 0", "disk.every_keyframes is 0; expected 1 to "),
     ],
 )
-def test_a_key_of_an_earlier_version_is_refused_with_the_new_one(file, text, told):
+def test_what_is_no_key_or_value_is_refused_with_what_is_one(file, text, told):
     assert told in refusal(file, text)
 
 
@@ -170,41 +184,6 @@ def test_a_former_key_is_refused_and_is_none_today(file, old):
 @pytest.mark.parametrize("instead", [text for text in FORMER_KEYS.values() if text.startswith("set ")])
 def test_what_to_set_instead_of_a_former_key_is_a_key(instead):
     assert value_at(MapperConfig(), instead.removeprefix("set ")) is not None
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ('[mapper.run]\nworkers = "two"', "mapper.run.workers is 'two'; expected int"),
-        ("[mapper.run]\nworkers = 1.5", "mapper.run.workers is 1.5; expected int"),
-        ("[mapper.run]\nworkers = true", "mapper.run.workers is True; expected int"),
-        ("[mapper.run]\ngrace_s = false", "mapper.run.grace_s is False; expected float"),
-        ("[mapper]\nrun = 3", "mapper.run is a section, found 3"),
-        ("[rerun]\nbind = 1", "rerun.bind is 1; expected str"),
-        ('[mapper.mapping.views]\nstrategy = "best"', "expected one of 's_score', 'initial', 'max_area'"),
-        ('[mapper.shapes]\nreconstructor = "sam"', "expected one of 'fused', 'single_view'"),
-    ],
-)
-def test_a_value_of_the_wrong_type_is_refused_with_the_right_one(file, text, told):
-    assert told in refusal(file, text)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "[mapper.run]\nworkers = 0",
-        "[mapper.run]\nworkers = -1",
-        "[mapper.run]\njob_timeout_s = 0.0",
-        "[mapper.run]\njob_timeout_s = nan",
-        "[mapper.run]\ncrop_margin = -0.1",
-        "[mapper.run]\ntime_jump_s = 0.0",
-        "[mapper.run]\ngrace_s = -1.0",
-        "[disk]\nevery_keyframes = 0",
-        "[rerun]\njpeg_quality = 101",
-    ],
-)
-def test_a_value_that_its_owner_refuses_is_named(file, text):
-    assert text.split("\n")[1].split(" ")[0] in refusal(file, text)
 
 
 def test_no_toml_and_a_missing_file_are_refused(file, tmp_path):
@@ -281,3 +260,103 @@ def test_the_sections_that_users_set_stand_first():
     headings = [line.strip("[]") for line in text.splitlines() if line.startswith("[")]
     assert tuple(headings[: len(SET_OFTEN)]) == SET_OFTEN
     assert from_dict(Settings, tomllib.loads(text)) == Settings()
+
+
+ROOTS = (Settings, AlignConfig, MergeMapsConfig, SearchConfig)
+SUFFIXES = {"m": "m", "m2": "m2", "m3": "m3", "s": "s", "deg": "deg", "rad": "rad", "ns": "ns", "px": "px", "mb": "MB"}
+SUFFIXES |= {"share": "share", "sightings": "sightings", "primitives": "primitives", "cells": "cells"}
+
+
+def kinds_below(kind):
+    hints = get_type_hints(kind).values()
+    return {kind}.union(*(kinds_below(hint) for hint in hints if dataclasses.is_dataclass(hint)))
+
+
+# What the files of robots and of profiles are read into.
+FILES = (Part, Posture, Robot, Profile, DepthSensor, Intrinsics, JumpLimits, SourceOptions)
+OTHERS = {Part: {"low_m": 0.0, "high_m": 1.0}, Intrinsics: {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}}
+OTHERS |= {Posture: {"name": "upright", "parts": ()}, Robot: {"name": "any", "postures": ()}}
+
+KINDS = sorted(
+    set().union(*(kinds_below(kind) for kind in ROOTS)), key=lambda kind: (kind.__module__, kind.__qualname__)
+)
+NUMBERS = [(kind, name, told) for kind in [*KINDS, *FILES] for name, told in ranges_of(kind).items()]
+IDS = [f"{kind.__name__}.{name}" for kind, name, _ in NUMBERS]
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *FILES], ids=lambda kind: kind.__name__)
+def test_every_number_of_the_configuration_has_range_and_unit(kind):
+    numbers = {f.name for f in dataclasses.fields(kind) if re.search(r"\b(int|float)\b", str(f.type))}
+    assert numbers == set(ranges_of(kind))
+
+
+def test_there_are_as_many_numbers_as_the_dump_shows_with_ranges():
+    lines = [line for line in to_toml(Settings()).splitlines() if " = " in line and not line.startswith("#")]
+    shown = [line for line in lines if line.partition(" = ")[2][0] in "-0123456789"]
+    assert len(shown) > 100
+    assert [line for line in shown if "  # " not in line or " to " not in line] == []
+    assert "r_safe_m = 0.02  # 0 to 2 m" in lines
+
+
+@pytest.mark.parametrize(("kind", "name", "told"), NUMBERS, ids=IDS)
+def test_the_unit_is_the_one_that_the_name_says(kind, name, told):
+    assert told.unit
+    first, _, suffix = name.rpartition("_")
+    expected = "1/m" if name.endswith("_per_m") else SUFFIXES.get(suffix, told.unit)
+    assert told.unit == expected or not first
+
+
+@pytest.mark.parametrize(("kind", "name", "told"), NUMBERS, ids=IDS)
+def test_each_end_of_a_range_is_allowed_and_beyond_is_not(kind, name, told):
+    assert math.isfinite(told.low) and math.isfinite(told.high) and told.low < told.high
+    for end in (told.low, told.high):
+        try:
+            kind(**OTHERS.get(kind, {}) | {name: end})
+        except RangeError as error:
+            assert "expected at most" in str(error)  # the other end of a pair does not move with it
+    step = max(abs(told.high), abs(told.low), 1)
+    whole = (told.low - 1, told.high + 1, -(2**70), 2**70)
+    for wrong in (*whole, told.low - step, told.high + step, math.nan, math.inf, -math.inf, True, "1"):
+        with pytest.raises(RangeError) as caught:
+            kind(**OTHERS.get(kind, {}) | {name: wrong})
+        assert str(caught.value) == f"{name} is {wrong!r}; expected {told}"
+
+
+def test_a_number_that_must_be_whole_is():
+    from hickory_stream.config import RunConfig
+
+    with pytest.raises(RangeError, match=r"workers is 2\.5; expected a whole number, 1 to 1024 processes"):
+        RunConfig(workers=2.5)
+
+
+@pytest.mark.parametrize("value", ["-1", "nan", "inf", "-inf", "1e9"])
+def test_no_way_leads_around_the_range_of_the_safety_margin(value, tmp_path):
+    file = tmp_path / "settings.toml"
+    file.write_text(f"[mapper.shapes.inflate]\nr_safe_m = {value}\n")
+    told = rf"^mapper\.shapes\.inflate\.r_safe_m is {float(value)!r}; expected 0 to 2 m$".replace("+", r"\+")
+    with pytest.raises(ConfigError, match=told):
+        read_config(Settings, file)
+    with pytest.raises(ConfigError, match=told):
+        read_config(Settings, None, (f"mapper.shapes.inflate.r_safe_m={value}",))
+    with pytest.raises(ConfigError, match=told):
+        from_dict(Settings, {"mapper": {"shapes": {"inflate": {"r_safe_m": float(value)}}}})
+
+
+def test_the_lower_end_of_a_pair_does_not_exceed_the_upper_one():
+    with pytest.raises(ConfigError, match=r"expected at most max_voxel_m, 0\.001"):
+        read_config(Settings, None, ("mapper.shapes.fused.volume.max_voxel_m=0.001",))
+
+
+def test_numbers_are_checked_one_by_one_and_zero_numbers_pass():
+    @dataclasses.dataclass(frozen=True, kw_only=True, slots=True)
+    class Several(Ranged):
+        place_m: tuple[float, float] = number((0.0, 0.0), -1, 1, "m")
+        limit_m: float | None = number(None, 0, 1, "m")
+
+    assert Several(place_m=(1.0, -1.0)).limit_m is None
+    with pytest.raises(RangeError, match=r"place_m is \(0.0, nan\); expected -1 to 1 m"):
+        Several(place_m=(0.0, math.nan))
+    with pytest.raises(ValueError, match=r"limit_m is 2; expected 0 to 1 m"):
+        Several(limit_m=2)
+    with pytest.raises(RangeError, match="limit_m is 1; expected at most place_m, 0"):
+        check_order(dataclasses.make_dataclass("Pair", ["limit_m", "place_m"])(1, 0), "limit_m", "place_m")

@@ -1,12 +1,16 @@
 import ast
+import base64
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hickory_stream.base.html_page import page, picture
 from hickory_stream.base.json_text import dumps, dumps_exactly, toml_string
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -69,3 +73,22 @@ def test_a_string_of_toml_comes_back_and_commands_no_terminal(text):
     written = toml_string(text)
     assert tomllib.loads(f"a = {written}")["a"] == text
     assert not any(c < " " or "\x7f" <= c < "\xa0" or "\u202a" <= c <= "\u202e" for c in written)
+
+
+def test_a_page_shows_what_a_stranger_wrote_and_loads_nothing():
+    text = page("a<b>\x1b[2J", "<p>x\u202ey</p>", "p { color: red; }")
+    assert "<title>a&lt;b&gt;\\x1b[2J</title>" in text
+    assert "<p>x\\u202ey</p>" in text
+    assert "p { color: red; }</style>" in text
+    assert re.search(r"https?://|<script|<link", text) is None
+
+
+def test_a_large_picture_is_made_smaller_and_keeps_its_colours():
+    rgb = np.zeros((40, 80, 3), dtype=np.uint8)
+    rgb[:, :, 0] = 200
+    shown = picture(rgb, 'a "red" one', 20)
+    assert 'alt="a &quot;red&quot; one"' in shown
+    data = base64.b64decode(shown.split("base64,")[1].split('"')[0])
+    read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert read.shape == (10, 20, 3)
+    np.testing.assert_allclose(read[5, 10], [0, 0, 200], atol=4)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hickory_stream.base.terminal import VisibleStream, clear_line, shown_safely, visible
 from hickory_stream.cli import main
 from hickory_stream.cli.maps.verify import tell
+from tests.conftest import copy_log
 
 UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
@@ -49,25 +50,13 @@ ESCAPES = {
 
 @pytest.fixture(scope="module")
 def hostile_log(short_log, tmp_path_factory):
-    from mcap.reader import make_reader
-    from mcap.writer import Writer
-
-    old, new = (text.encode() for text in list(ESCAPES.items())[1])
-    assert len(old) == len(new)
-    target = tmp_path_factory.mktemp("logs") / "hostile\x1b[5m.mcap"
-    with short_log.open("rb") as read, target.open("wb") as written:
-        writer, channels = Writer(written), {}
-        writer.start(profile="ros2")
-        for i, (schema, channel, message) in enumerate(make_reader(read).iter_messages()):
-            if channel.id not in channels:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                topic = channel.topic.replace("/rgb/", ESCAPES["/rgb/"])
-                channels[channel.id] = writer.register_channel(topic, channel.message_encoding, schema_id)
-            data = message.data.replace(old, new)
-            if i < 60 or "tf" in channel.topic:
-                writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
-        writer.finish()
-    return target
+    (topic, hostile_topic), (frame, hostile_frame) = ESCAPES.items()
+    assert len(frame.encode()) == len(hostile_frame.encode())
+    return copy_log(
+        short_log, tmp_path_factory.mktemp("logs") / "hostile\x1b[5m.mcap", seconds=0.7,
+        topic_of=lambda name: name.replace(topic, hostile_topic),
+        data_of=lambda data: data.replace(frame.encode(), hostile_frame.encode()),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

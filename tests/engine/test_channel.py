@@ -2,7 +2,7 @@ import asyncio
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hickory_stream.engine.async_tools import Channel, ChannelClosed
+from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, StopRequest
 
 
 async def drain(channel, pauses):
@@ -61,19 +61,6 @@ def test_many_senders_and_receivers_lose_and_double_nothing(capacity, senders, r
     assert asyncio.run(pass_through()) == [100 * i + k for i in range(senders) for k in range(each)]
 
 
-async def test_a_full_channel_makes_the_sender_wait():
-    channel = Channel(1)
-    await channel.send("a")
-    waiting = asyncio.create_task(channel.send("b"))
-    for _ in range(5):
-        await asyncio.sleep(0)
-    assert not waiting.done()
-    assert channel.statistics().length == 1
-    assert await channel.receive() == "a"
-    await waiting
-    assert await channel.receive() == "b"
-
-
 async def test_closing_wakes_the_sender_and_items_can_still_be_taken():
     channel = Channel(1)
     await channel.send(1)
@@ -110,3 +97,113 @@ async def test_a_dropping_channel_returns_the_oldest_and_never_waits():
     await channel.close()
     with pytest.raises(ChannelClosed):
         await channel.receive_all()
+
+
+SECOND_NS = 1_000_000_000
+# A second of log lasts eleven days: what has to wait, waits for longer than any test.
+SLOW = 1e-6
+
+
+def returns_at_once(pacer, stamp_ns):
+    waiting = pacer.wait(stamp_ns)
+    try:
+        waiting.send(None)
+    except StopIteration:
+        return True
+    waiting.close()
+    return False
+
+
+def in_loop(check):
+    async def run():
+        return check()
+
+    return asyncio.run(run())
+
+
+async def soon(awaitable):
+    """Return whether something ends without waiting for a clock."""
+    task = asyncio.ensure_future(awaitable)
+    for _ in range(5):
+        await asyncio.sleep(0)
+    is_done = task.done()
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    return is_done
+
+
+@given(st.lists(st.integers(0, 10**19)))
+def test_as_fast_as_can_be_never_waits(stamps_ns):
+    pacer = Pacer(None)
+    assert all(returns_at_once(pacer, stamp_ns) for stamp_ns in stamps_ns)
+
+
+def test_the_first_frame_is_due_at_once_and_a_later_one_is_not():
+    pacer = Pacer(SLOW)
+    assert in_loop(lambda: returns_at_once(pacer, 5 * SECOND_NS))
+    assert in_loop(lambda: returns_at_once(pacer, 5 * SECOND_NS))
+    assert not in_loop(lambda: returns_at_once(pacer, 6 * SECOND_NS))
+
+
+def test_a_frame_whose_time_has_passed_is_due_at_once():
+    pacer = Pacer(1e15)
+    assert in_loop(lambda: all(returns_at_once(pacer, i * SECOND_NS) for i in range(1, 100)))
+
+
+async def test_a_jump_back_starts_the_clock_anew():
+    pacer = Pacer(SLOW)
+    stamps_ns = [9 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS, 3 * SECOND_NS]
+    assert [await soon(pacer.wait(stamp_ns)) for stamp_ns in stamps_ns] == [True, False, True, False]
+
+
+async def answered():
+    return "there"
+
+
+async def failed():
+    raise OSError("the disk is full")
+
+
+async def test_what_ends_by_itself_is_returned_and_its_error_raised():
+    stop = StopRequest()
+    assert await stop.within_grace(answered(), "job") == "there"
+    with pytest.raises(OSError, match="full"):
+        await stop.within_grace(failed(), "job")
+    assert not stop.is_requested
+
+
+def test_a_stop_cancels_what_exceeds_the_grace_period():
+    was_cancelled = []
+
+    async def never():
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            was_cancelled.append(True)
+            raise
+
+    async def run():
+        stop = StopRequest()
+        waiting = asyncio.create_task(stop.within_grace(never(), "job", grace_s=0.01))
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        stop.request()
+        assert await waiting is None
+
+    asyncio.run(run())
+    assert was_cancelled == [True]
+
+
+async def test_what_comes_within_the_grace_is_taken():
+    stop, arrived = StopRequest(), asyncio.Event()
+
+    async def late():
+        await arrived.wait()
+        return "just in time"
+
+    waiting = asyncio.create_task(stop.within_grace(late(), "job", grace_s=30.0))
+    await asyncio.sleep(0)
+    stop.request()
+    await asyncio.sleep(0)
+    arrived.set()
+    assert await waiting == "just in time"

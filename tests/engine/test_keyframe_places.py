@@ -2,8 +2,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.box_scene import scene_pose
-from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
-from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
+from hickory_stream.engine.keyframe_places import RegistrationFilter
 from hickory_stream.geometry.rigid import compose, invert, no_directions
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.digest import map_digest
@@ -12,7 +11,7 @@ from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.testing import InstanceSegmenter
-from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
+from tests.engine.registration_sources import NUM_FRAMES, Unaware, drifting, room
 from tests.engine.run_fixtures import NO_SHAPES, map_scene, resume_scene, stop_at
 
 CONFIG = (*NO_SHAPES, "sensor.noise_per_m=0.0005")
@@ -56,7 +55,7 @@ def events_of(run_path, kind):
 @pytest.fixture(scope="module")
 def drifted(tmp_path_factory):
     sink = Kept()
-    return mapped(tmp_path_factory.mktemp("drifted"), Drifting(room()), sink=sink), sink
+    return mapped(tmp_path_factory.mktemp("drifted"), drifting(room()), sink=sink), sink
 
 
 def test_a_frame_says_along_what_its_odometry_was_a_guess():
@@ -66,7 +65,6 @@ def test_a_frame_says_along_what_its_odometry_was_a_guess():
         places = RegistrationFilter(RegistrationConfig())
         places.place(frames[0])
         placed = places.place(replace(frames[1], degenerate=degenerate, depth_m=np.zeros_like(frames[1].depth_m)))
-        assert isinstance(placed, PlacedFrame)
         sigmas_m.append(np.sqrt(placed.event.covariance[3:, 3:].trace()))
     assert sigmas_m[1] > 2 * sigmas_m[0]
 
@@ -86,14 +84,10 @@ def test_keyframes_of_a_drifting_odometry_are_mapped_truly(drifted):
     observed = events_of(run.folder.path, "FrameObserved")
     assert len(registered) == len(observed) == NUM_FRAMES
     for event, seen in zip(registered, observed, strict=True):
-        assert isinstance(event, KeyframeRegistered)
-        assert isinstance(seen, FrameObserved)
         assert np.array_equal(event.map_from_camera, seen.world_from_camera)
         assert np.array_equal(sink.poses[seen.frame_index], seen.world_from_camera)
     # It takes some keyframes to see that the odometry errs; what it erred by until then stays.
     first, last = registered[4], registered[-1]
-    assert isinstance(first, KeyframeRegistered)
-    assert isinstance(last, KeyframeRegistered)
     true_way = compose(invert(scene_pose(4)), scene_pose(NUM_FRAMES - 1))
     raw_way = compose(invert(first.odometry_from_camera), last.odometry_from_camera)
     way = compose(invert(first.map_from_camera), last.map_from_camera)
@@ -114,7 +108,7 @@ def test_the_odometry_is_kept_beside_the_corrected_poses(drifted):
     run, _ = drifted
     with Journal(run.folder.path) as journal:
         raw = [frame for index in range(len(journal)) for frame in journal.step(index).frames]
-    given = [frame.world_from_camera for frame in Drifting(room()).frames()]
+    given = [frame.world_from_camera for frame in drifting(room()).frames()]
     assert [frame.world_from_camera.tobytes() for frame in raw] == [pose.tobytes() for pose in given]
 
 
@@ -130,9 +124,9 @@ def test_the_journal_of_a_corrected_run_gives_the_same_map(drifted):
 
 @pytest.mark.parametrize("keyframes", [2, 9])
 def test_a_stopped_corrected_run_resumes_to_the_same_map(drifted, tmp_path, keyframes):
-    mapped(tmp_path, Drifting(room()), on_progress=stop_at(keyframes))
+    mapped(tmp_path, drifting(room()), on_progress=stop_at(keyframes))
 
-    assert resume_scene(tmp_path / "map", Drifting(room()), room().instances) == drifted[0].digest
+    assert resume_scene(tmp_path / "map", drifting(room()), room().instances) == drifted[0].digest
 
 
 def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):
@@ -144,9 +138,9 @@ def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):
     frames = open_map(run.folder.path).ledger["frames"]
     assert frames["keyframes_kept_out"] == 3
     assert frames["keyframes"] == NUM_FRAMES - 3
-    assert sum(count for name, count in frames.items() if name in ("keyframes", "keyframes_kept_out")) == frames["read"]
+    assert frames["read"] == NUM_FRAMES
     out = events_of(run.folder.path, "KeyframeKeptOut")
-    assert [event.frame_index for event in out if isinstance(event, KeyframeKeptOut)] == [8, 9, 10]
+    assert [event.frame_index for event in out] == [8, 9, 10]
     with Journal(run.folder.path) as journal:
         told = [entry.told for entry in journal.entries() if entry.told is not None]
     decisions = [decision.text for each in told for decision in each.decisions if decision.kind == "keep_out"]
@@ -175,6 +169,4 @@ def test_a_carried_robot_continues_in_a_new_submap(tmp_path):
     assert told.text().startswith(f"odometry: of {frames['keyframes'] + 7} keyframes {told.corrected} were moved")
     assert ", 7 did not fit and were left out; " in told.text()
     assert "; once the robot was suddenly elsewhere than its odometry says" in told.text()
-    jumps = events_of(run.folder.path, "PoseJumped")
-    assert len(jumps) == 1
-    assert isinstance(jumps[0], PoseJumped)
+    assert len(events_of(run.folder.path, "PoseJumped")) == 1

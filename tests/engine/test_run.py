@@ -1,10 +1,15 @@
+import asyncio
 import json
+from contextlib import nullcontext
 import pytest
-from hickory_stream.box_scene import SCENE_BOXES, SceneSource
-from hickory_stream.errors import MapFolderError, RecordingError
+from threadpoolctl import threadpool_info, threadpool_limits
+from hickory_stream.box_scene import SceneSource
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SlowSink
+from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers, stop_at
 
 
@@ -49,20 +54,12 @@ def test_a_killed_worker_is_replaced_and_the_map_is_the_same(tmp_path, calm_dige
     assert len(killed) == 1
 
 
-def test_jobs_that_time_out_leave_objects_without_shape(tmp_path):
-    run = map_scene(
-        tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1", boxes=SCENE_BOXES[:1], child_workers=True
-    )
-    assert [tracked.shape for tracked in run.snapshots[-1].objects] == [None]
-    ledger = json.loads((run.folder.path / "ledger.json").read_text())
-    assert ledger["shapes"] == {"requested": 1, "failed": 1, "limits": 1}
-    assert not run.folder.manifest.is_reproducible
-    assert shape_workers() == []
-
-
 def test_further_rounds_of_a_log_add_no_object_and_no_size(tmp_path):
     sink = RememberingSink()
-    map_scene(tmp_path, *NO_SHAPES, loops=4, sinks=saved_with((sink, False)))
+    run = map_scene(tmp_path, *NO_SHAPES, loops=4, sinks=saved_with((sink, False)))
+    assert [report.index for report in sink.reports] == list(range(4 * NUM_FRAMES + 1))
+    frames = json.loads((run.folder.path / "ledger.json").read_text())["frames"]
+    assert frames == {"read": 4 * NUM_FRAMES, "keyframes": 4 * NUM_FRAMES, "time_jumps": 3}
     once, thrice, four_times = (sink.reports[rounds * NUM_FRAMES - 1].snapshot for rounds in (1, 3, 4))
     assert [t.id for t in once.objects] == [t.id for t in thrice.objects] == [t.id for t in four_times.objects]
     for a, b in zip(thrice.objects, four_times.objects, strict=True):
@@ -72,14 +69,6 @@ def test_further_rounds_of_a_log_add_no_object_and_no_size(tmp_path):
     space_a, space_b = thrice.submaps[0].observed_space, four_times.submaps[0].observed_space
     assert len(space_b.free) <= 1.05 * len(space_a.free)
     assert len(space_b.structure) <= 1.05 * len(space_a.structure)
-
-
-def test_a_second_round_is_a_time_jump_and_frame_numbers_go_on(tmp_path):
-    sink = RememberingSink()
-    run = map_scene(tmp_path, *NO_SHAPES, loops=2, sinks=saved_with((sink, False)))
-    assert [report.index for report in sink.reports] == list(range(2 * NUM_FRAMES + 1))
-    frames = json.loads((run.folder.path / "ledger.json").read_text())["frames"]
-    assert frames == {"read": 2 * NUM_FRAMES, "keyframes": 2 * NUM_FRAMES, "time_jumps": 1}
 
 
 def test_a_slow_sink_gets_every_frame_and_the_finished_map(tmp_path):
@@ -149,3 +138,109 @@ def test_a_job_that_runs_at_a_stop_gets_the_grace_period(tmp_path):
     run = map_scene(tmp_path, "run.grace_s=60.0", on_progress=stop_at(5))
     ledger = json.loads((run.folder.path / "ledger.json").read_text())["shapes"]
     assert ledger["requested"] == ledger["ready"] >= 1
+
+
+def test_snapshots_come_in_order_and_the_last_is_the_saved_map(tmp_path):
+    run = map_scene(tmp_path, *NO_SHAPES)
+    revisions = [snapshot.revision for snapshot in run.snapshots]
+    assert revisions == sorted(revisions)
+    saved = open_map(run.folder.path).snapshot
+    assert saved.revision == revisions[-1]
+    assert [tracked.id for tracked in saved.objects] == [tracked.id for tracked in run.snapshots[-1].objects]
+
+
+def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path):
+    async def linger(mapper, snapshot):
+        if snapshot.revision == 1:
+            while not mapper.folder.manifest.finished_cleanly:  # noqa: ASYNC110 -- the end of a run is no event
+                await asyncio.sleep(0.01)
+
+    run = map_scene(tmp_path, *NO_SHAPES, on_snapshot=linger)
+    assert len(run.snapshots) == 2
+    assert run.snapshots[-1].revision == NUM_FRAMES
+
+
+def test_a_temporary_map_folder_exists_while_mapping_only():
+    async def run():
+        async with Mapper() as mapper:
+            async for _ in mapper.run(SceneSource(2)):
+                pass
+            assert open_map(mapper.folder.path).manifest.finished_cleanly
+            return mapper.folder.path
+
+    assert not asyncio.run(run()).exists()
+
+
+@pytest.mark.parametrize("is_broken", [False, True])
+@pytest.mark.parametrize("is_temporary", [False, True])
+def test_leaving_the_loop_early_ends_the_run_and_saves_the_map(tmp_path, is_temporary, is_broken):
+    complaints, left = [], []
+
+    async def run():
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        async with Mapper(out=None if is_temporary else tmp_path / "map") as mapper:
+            left.append(mapper)
+            async for _ in mapper.run(SceneSource(8)):
+                if is_broken:
+                    raise KeyError("what the consumer looked for")
+                break
+
+    with pytest.raises(KeyError, match="consumer") if is_broken else nullcontext():
+        asyncio.run(run())
+    assert complaints == []
+    if is_temporary:
+        assert not left[0].folder.path.exists()
+    else:
+        assert left[0].was_stopped
+        saved = open_map(tmp_path / "map")
+        assert not saved.manifest.finished_cleanly
+        assert saved.ledger["frames"]["read"] >= 1
+
+
+def test_linear_algebra_has_one_thread_while_mapping_only():
+    def threads():
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    async def run():
+        async with Mapper():
+            return threads()
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert set(asyncio.run(run())) == {1}
+        assert set(threads()) == {2}
+
+
+def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
+    async def leave(mapper, snapshot):
+        if snapshot.revision >= 4:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        map_scene(tmp_path, on_snapshot=leave, child_workers=True)
+    assert not open_map(tmp_path / "map").manifest.finished_cleanly
+    assert shape_workers() == []
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        (SceneSource(0), r"memory:scene gave no usable frame \(frames 0\)"),
+        (
+            FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)),
+            rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes",
+        ),
+    ],
+)
+def test_a_source_without_frames_or_depth_leaves_no_map(tmp_path, source, told):
+    with pytest.raises(RecordingError, match=told):
+        map_scene(tmp_path, source=source)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_sink_that_cannot_be_made_leaves_no_map(tmp_path):
+    def fail(folder):
+        raise ViewerError("there is no screen")
+
+    with pytest.raises(ViewerError, match="no screen"):
+        map_scene(tmp_path, sinks=fail)
+    assert not (tmp_path / "map").exists()

@@ -1,28 +1,19 @@
 import asyncio
 import logging
 import threading
-import numpy as np
 import pytest
-from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.errors import MapFolderError
-from hickory_stream.records import FrameReport
 from hickory_stream.testing import FailingSink, RememberingSink
+from tests.sinks.report_fixtures import bare_report
 
 NUM_REPORTS = 60
-
-
-def report(index):
-    return FrameReport(
-        index=index, stamp_ns=index, keyframe_index=None, camera=SCENE_CAMERA, world_from_camera=np.eye(4),
-        color_bytes=None,
-    )  # fmt: skip
 
 
 async def show_all(sink, *, is_essential):
     thread = SinkThread(sink, is_essential=is_essential)
     for i in range(NUM_REPORTS):
-        await thread.show(report(i))
+        await thread.show(bare_report(i))
     await thread.close()
     return thread
 
@@ -73,7 +64,7 @@ def test_a_hanging_optional_sink_does_not_delay_the_end(num_reports, monkeypatch
     async def show_some():
         thread = SinkThread(Hanging(), is_essential=False)
         for i in range(num_reports):
-            await thread.show(report(i))
+            await thread.show(bare_report(i))
             while i == 0 and thread.backlog:  # noqa: ASYNC110 -- a thread takes it, and tells nobody
                 await asyncio.sleep(0)
         await thread.close()

@@ -7,6 +7,7 @@ from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.poses.surface_image import surface_image
+from tests.perception.perception_scenes import looking
 
 CAMERA = Camera(width=160, height=120, fx=87.0, fy=87.0, cx=79.5, cy=59.5)
 SPREAD_PER_M = 0.0012
@@ -29,12 +30,13 @@ def true_pose(index):
     """Return world_from_camera (4, 4) of a keyframe on a circle through the room, looking across it and a bit down."""
     angle = 2 * np.pi * index / 32
     forward = np.array([np.cos(angle + 2.6), np.sin(angle + 2.6), -0.3])
-    return _looking(np.array([1.2 * np.cos(angle), 1.2 * np.sin(angle), 1.5]), forward)
+    eye = np.array([1.2 * np.cos(angle), 1.2 * np.sin(angle), 1.5])
+    return looking(eye + forward, start=eye)
 
 
 def wall_pose(index):
     """Return world_from_camera (4, 4) of a keyframe on a way along a wall that fills the view."""
-    return _looking(np.array([0.15 * index, 0.0, 1.3]), np.array([0.0, 1.0, 0.0]))
+    return looking((0.15 * index, 1.0, 1.3), start=(0.15 * index, 0.0, 1.3))
 
 
 def drifted(poses, scale=0.02, yaw_deg=0.1):
@@ -63,10 +65,3 @@ def image(index, boxes=ROOM, seed=0, *, along_wall=False):
 def errors_m(poses, first=0):
     """Return how far keyframes are from where they truly were."""
     return np.array([np.linalg.norm(pose[:3, 3] - true_pose(first + i)[:3, 3]) for i, pose in enumerate(poses)])
-
-
-def _looking(eye, forward):
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), eye)

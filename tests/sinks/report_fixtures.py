@@ -1,11 +1,13 @@
-"""A synthetic run for sinks: a camera circles some boxes on a floor, rendered exactly; every box becomes an object."""
+"""A synthetic run for sinks: a camera circles some boxes on a floor; every box becomes an object."""
 
 import cv2
 import numpy as np
+import trimesh
+from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
-from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_cells, keys_of_points
 from hickory_stream.records import (
@@ -22,16 +24,12 @@ from hickory_stream.records import (
     TrackedObject,
     View,
 )
+from tests.perception.perception_scenes import looking
 
 START_NS = 1_700_000_000_123_456_789
 PERIOD_NS = 66_666_667
 KEYFRAME_EVERY = 4
 SHAPE_FRAME = 12
-BACKGROUND = 0
-FLOOR = -1
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
-_FACES = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
-_FACES += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
 _COLORS = [
     (196, 86, 60),
     (70, 130, 190),
@@ -51,7 +49,7 @@ def boxes(count=7):
         half = rng.uniform((0.12, 0.1, 0.1), (0.35, 0.25, 0.45))
         angle, radius = 2 * np.pi * i / count, 1.1 + 0.3 * (i % 2)
         center = np.array([radius * np.cos(angle), radius * np.sin(angle), half[2]])
-        pose = from_rotation_translation(yaw_rotation(float(rng.uniform(0, np.pi))), center)
+        pose = from_rotation_translation(np.eye(3), center)
         found.append(OrientedBox(world_from_box=pose, half_extents_m=half))
     return found
 
@@ -68,6 +66,8 @@ class SyntheticRun:
 
     def __init__(self, folder, width):
         self.boxes = boxes()
+        ends = [box.corners_world()[[0, -1]] for box in self.boxes]
+        self._scene = [SceneBox(low=a, high=b, rgb=rgb) for (a, b), rgb in zip(ends, _COLORS, strict=True)]
         height = width * 9 // 16
         self.camera = Camera(
             width=width, height=height, fx=0.6 * width, fy=0.6 * width, cx=(width - 1) / 2, cy=(height - 1) / 2
@@ -77,9 +77,11 @@ class SyntheticRun:
         self.shapes = _write_shapes(self.boxes, folder)
 
     def report(self, index, num_frames, *, is_merged):
-        world_from_camera = _circling(2 * np.pi * index / max(num_frames, 60))
+        angle = 2 * np.pi * index / max(num_frames, 60)
+        world_from_camera = looking((0.0, 0.0, 0.3), start=(2.9 * np.cos(angle), 2.9 * np.sin(angle), 1.5))
         stamp_ns = START_NS + index * PERIOD_NS
-        rgb, depth_m, instances = render(self.boxes, self.camera, world_from_camera)
+        rgb, depth_m, instances = cast_scene(self._scene, self.camera, world_from_camera)
+        depth_m[depth_m > 6.0] = np.nan
         color_bytes = cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes()
         shared = {
             "index": index, "stamp_ns": stamp_ns, "camera": self.camera, "world_from_camera": world_from_camera,
@@ -163,49 +165,14 @@ class SyntheticRun:
         )  # fmt: skip
 
 
-def render(shown, camera, world_from_camera):
-    """Return exact colour, depth and instances (0 = nothing, -1 = floor, i + 1 = box i) by the slab method."""
-    rays = apply(
-        from_rotation_translation(world_from_camera[:3, :3], np.zeros(3)),
-        backproject(np.ones((camera.height, camera.width), np.float32), camera).astype(np.float64),
-    )
-    origin = world_from_camera[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = np.where(rays[..., 2] < 0, -origin[2] / rays[..., 2], np.inf)
-        depth[depth > 6] = np.inf
-        instances = np.where(np.isfinite(depth), FLOOR, BACKGROUND).astype(np.int32)
-        rgb = np.where(np.isfinite(depth)[..., None], 105, 60).astype(np.float64) * np.ones(3)
-        for i, box in enumerate(shown, start=1):
-            rotation = box.world_from_box[:3, :3]
-            local_rays, local_origin = rays @ rotation, (origin - box.center) @ rotation
-            a = (-box.half_extents_m - local_origin) / local_rays
-            b = (box.half_extents_m - local_origin) / local_rays
-            near, far = np.minimum(a, b), np.maximum(a, b)
-            enter = near.max(axis=-1)
-            hit = (enter < far.min(axis=-1)) & (enter > 0) & (enter < depth)
-            depth[hit], instances[hit] = enter[hit], i
-            shade = np.array([0.7, 0.85, 1.0])[near.argmax(axis=-1)]
-            rgb[hit] = (np.array(_COLORS[i - 1]) * shade[..., None])[hit]
-    depth_m = np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
-    return rgb.astype(np.uint8), depth_m, instances
-
-
-def _circling(angle):
-    position = np.array([2.9 * np.cos(angle), 2.9 * np.sin(angle), 1.5])
-    forward = np.array([0.0, 0.0, 0.3]) - position
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    return from_rotation_translation(np.stack([right, np.cross(forward, right), forward], axis=1), position)
-
-
 def _write_shapes(shown, folder):
     (folder / "shapes").mkdir(parents=True, exist_ok=True)
     shapes = {}
     for i, box in enumerate(shown, start=1):
+        solid = trimesh.creation.box(2 * box.half_extents_m)
         mesh = Mesh(
-            vertices=_CORNERS * box.half_extents_m,
-            faces=np.array(_FACES),
+            vertices=solid.vertices,
+            faces=solid.faces,
             colors=np.tile(np.array(_COLORS[i - 1], np.uint8), (8, 1)),
             is_seen=np.ones(8, dtype=bool),
         )
@@ -225,3 +192,10 @@ def _two_halves(box, grown):
     poses[:, 2, 3] += (-quarter, quarter)
     half = box.half_extents_m * (1, 1, 0.5) * grown
     return Superquadrics(exponents=np.full((2, 2), 0.3), semi_axes_m=np.stack([half, half]), world_from_local=poses)
+
+
+def bare_report(index=0, **changes):
+    """A report of a frame of which no more than its camera is known."""
+    camera = Camera(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0)
+    known = {"stamp_ns": index, "keyframe_index": None, "world_from_camera": np.eye(4), "color_bytes": None}
+    return FrameReport(index=index, camera=camera, **{**known, **changes})

@@ -7,13 +7,13 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from hickory_stream.errors import InputError, OutputError
-from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.costmap import Costmap
 from hickory_stream.navigation.free_space import obstacle_grid
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.records import MapSnapshot
 from hickory_stream.sinks.costmap_sink import MAP_TOPIC, UPDATES_TOPIC, CostmapSink
 from tests.navigation.rooms import boxes, seen_room, snapshot, table, tracked
+from tests.sinks.report_fixtures import bare_report
 
 ROBOT = load_robot("point")
 
@@ -28,14 +28,6 @@ def snapshots():
         replace(snapshot(*objects, space=space), revision=i, stamp_ns=10**18 + i)
         for i, (objects, space) in enumerate(chains)
     ]
-
-
-def report(of, index):
-    camera = Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0)
-    return FrameReport(
-        index=index, stamp_ns=10**18 + index, keyframe_index=index, camera=camera, world_from_camera=np.eye(4),
-        color_bytes=None, snapshot=of,
-    )  # fmt: skip
 
 
 def applied(updates):
@@ -137,3 +129,7 @@ def test_a_costmap_that_the_disk_cut_short_is_told_once():
     with pytest.raises(OutputError, match="/dev/full ends before the map does"):
         sink.show(report(snapshots()[0], 0))
     sink.close()
+
+
+def report(of, index):
+    return bare_report(index, stamp_ns=10**18 + index, keyframe_index=index, snapshot=of)

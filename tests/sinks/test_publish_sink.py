@@ -5,9 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hickory_stream.errors import InputError
-from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.records import FrameReport, ObjectKind, Phase, SpaceObservation
+from hickory_stream.records import ObjectKind, Phase, SpaceObservation
 from hickory_stream.sinks.publish_sink import (
     GOAL_TOPIC,
     MAP_TOPIC,
@@ -22,6 +21,7 @@ from hickory_stream.sinks.publish_sink import (
 from hickory_stream.sinks.ros_messages import goal_message, store
 from tests.navigation.rooms import boxes, snapshot, table, tracked
 from tests.players.live.robot_fixtures import eventually
+from tests.sinks.report_fixtures import bare_report
 
 ROBOT = load_robot("point")
 START = (0.5, 0.5)
@@ -62,11 +62,10 @@ class Link:
 def report(of, at=START):
     pose = np.eye(4)
     pose[:2, 3] = at
-    return FrameReport(
-        index=0, stamp_ns=1_700_000_000_500_000_000, keyframe_index=0,
-        camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0), world_from_camera=pose, color_bytes=None,
-        snapshot=of, space=SpaceObservation(free_keys=NOTHING, structure_keys=NOTHING, floor_z_m=0.0),
-    )  # fmt: skip
+    space = SpaceObservation(free_keys=NOTHING, structure_keys=NOTHING, floor_z_m=0.0)
+    return bare_report(
+        stamp_ns=1_700_000_000_500_000_000, keyframe_index=0, world_from_camera=pose, snapshot=of, space=space
+    )
 
 
 def room(**options):

@@ -11,7 +11,6 @@ from rerun.chunk import RrdReader
 from hickory_stream.errors import ConfigError, ViewerError
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.records import Decision, Phase
 from hickory_stream.sinks.rerun.config import RerunConfig
@@ -19,6 +18,7 @@ from hickory_stream.sinks.rerun.meshes import placed_mesh
 from hickory_stream.sinks.rerun.sink import RerunSink, ViewerChoice, ViewerKind
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.sinks.report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, reports
+from tests.strategies import quadric
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
 NUM_FRAMES, MERGE_AT = 24, 16
@@ -80,9 +80,7 @@ def test_every_object_has_its_four_layers(rows):
 
 
 def test_a_sketch_stands_for_layer_three_until_the_shape_comes(tmp_path):
-    box = Superquadrics(
-        exponents=np.full((1, 2), 0.1), semi_axes_m=np.full((1, 3), 0.2), world_from_local=np.eye(4)[None]
-    )
+    box = quadric((0.1, 0.1), (0.2, 0.2, 0.2))
 
     def change(report):
         if report.snapshot is None:
@@ -191,11 +189,11 @@ def test_generated_surface_of_a_mesh_is_tinted(tmp_path):
 
 
 def test_decisions_are_lines_under_their_kind_and_their_object(tmp_path, rows):
-    expected = Counter(d.kind for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
+    decided = [d for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions]
+    expected = Counter(d.kind for d in decided)
     assert {kind: len(rows[f"/decisions/{kind}"]) for kind in expected} == expected
     assert rows["/decisions/reject"][0]["TextLog:text"][0].startswith("reject: mask (3, 5, 9, 12)")
-    expected = Counter(d.object_id for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
-    del expected[None]
+    expected = Counter(d.object_id for d in decided if d.object_id is not None)
     assert {i: len(rows[f"/decisions_of/{i}"]) for i in expected} == expected
     assert all(row["TextLog:text"][0].startswith("#4 associate: ") for row in rows["/decisions_of/4"])
 
