@@ -4,7 +4,7 @@ from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.navigation.observed import box_corners
 from hickory_stream.navigation.occupancy import frame_around
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.navigation.search import NoPath, Path, SearchConfig, plan
+from hickory_stream.navigation.search import SearchConfig, plan
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.navigation.rooms import boxes
 from tools.evaluation.navigation_table import (
@@ -61,10 +61,8 @@ def test_layer_four_finds_the_way_under_a_table_that_boxes_close():
     for name in ("mesh-obb", "mesh-full", "layer-4"):
         space = built(name, obstacles, robot, frame, floor_z_m=0.0, r_safe_m=0.02).space
         answers[name] = plan(space, np.array([0.5, 0.6]), np.array([3.5, 0.6]))
-    assert isinstance(answers["mesh-obb"], NoPath)
     assert answers["mesh-obb"].reason == "unreachable"
     for name in ("mesh-full", "layer-4"):
-        assert isinstance(answers[name], Path)
         assert answers[name].length_m == pytest.approx(3.0)
 
 

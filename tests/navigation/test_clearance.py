@@ -15,6 +15,7 @@ from hickory_stream.records import ObservedSpace
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from tests.navigation.rooms import tracked
 from tests.shapes.shape_fixtures import shape_inputs
+from tests.strategies import quadric
 from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 
@@ -39,11 +40,7 @@ def scene_of(primitives):
 
 
 def one(semi_axes, at=(0, 0, 0), e=1.0):
-    return Superquadrics(
-        exponents=np.full((1, 2), e),
-        semi_axes_m=np.array([semi_axes]),
-        world_from_local=from_rotation_translation(np.eye(3), np.array(at))[None],
-    )
+    return quadric((e, e), semi_axes, from_rotation_translation(np.eye(3), np.array(at)))
 
 
 @settings(max_examples=15, deadline=None)

@@ -8,8 +8,6 @@ from hickory_stream.navigation.robot import Part
 from tests.navigation.rooms import boxes
 from tests.navigation.test_clearance import random_primitives
 
-# The first call of a kernel compiles it.
-
 CELL_M = 0.033
 SIZE = 160
 
