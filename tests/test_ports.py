@@ -1,14 +1,10 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.ports import Accounting, Interruptible, Seekable, SourceAround, account_of, interrupt, num_seeks
 from players import open_source
 from players.playback import PlaybackClock, PlayedSource
-
-if TYPE_CHECKING:
-    pass
 
 
 class Able(SceneSource):

@@ -10,6 +10,9 @@ from hickory_stream.graph.factors import (
     odometry_covariance,
     tangent_covariance,
 )
+from hickory_stream.graph.gtsam_solver import sharper, smoothest, weights_of
+from hickory_stream.graph.solve import solve
+from tests.graph.graph_fixtures import solved_graph, walk
 
 CONFIG = GraphConfig()
 
@@ -79,3 +82,44 @@ def test_a_graph_whose_nodes_hang_on_nothing_is_refused():
     )  # fmt: skip
     with pytest.raises(ValueError, match="not there"):
         PoseGraph(world_from_node=poses, odometry=(edge(0, 1), edge(1, 2)), loops=(loop,), gravity_sigma_rad=0.02)
+
+
+LIMIT = 16.0
+CHI2 = np.array([0.0, 1.0, 15.0, 17.0, 400.0, 1e5])
+
+
+def test_weights_go_from_all_a_little_to_those_of_the_limit():
+    weights = weights_of(CHI2, LIMIT, smoothest(CHI2, LIMIT))
+    assert (weights > 0).all()
+    assert (np.diff(weights) <= 0).all()
+    assert weights[-1] < 1e-3
+    sharpness = smoothest(CHI2, LIMIT)
+    for _ in range(60):
+        sharpness = sharper(sharpness)
+    assert weights_of(CHI2, LIMIT, sharpness).tolist() == [1, 1, 1, 0, 0, 0]
+
+
+def test_residuals_within_half_the_limit_count_fully():
+    chi2 = np.array([0.0, 3.0, 7.9])
+    assert weights_of(chi2, LIMIT, smoothest(chi2, LIMIT)).tolist() == [1, 1, 1]
+    assert weights_of(np.empty(0), LIMIT, smoothest(np.empty(0), LIMIT)).tolist() == []
+
+
+def test_a_record_says_which_loops_are_believed_with_residuals():
+    loops = solved_graph().loops
+    wrong = walk().wrong
+    assert [loop.status == "accepted" for loop in loops] == [loop.id not in wrong for loop in walk().graph.loops]
+    assert loops[min(wrong)].status == "withdrawn"
+    assert all((loop.reason == "") == (loop.status == "accepted") for loop in loops)
+    assert max(loop.residual_m for loop in loops if loop.status == "accepted") < 0.2
+    assert min(loop.residual_m + loop.residual_rad for loop in loops if loop.status != "accepted") > 0.5
+
+
+def test_a_node_has_both_places_and_its_uncertainty():
+    nodes = solved_graph().nodes
+    assert (nodes[0].place == nodes[0].uncorrected).all()
+    assert nodes[0].sigma_m < 1e-3 < nodes[1].sigma_m < nodes[9].sigma_m
+    assert nodes[9].covariance_xy.trace() < nodes[9].sigma_m ** 2
+    answer = solve(walk().graph)
+    assert (nodes[20].place == answer.world_from_node[20]).all()
+    assert [edge.later for edge in solved_graph().edges if edge.kind == "odometry"] == list(range(1, 60))

@@ -11,7 +11,7 @@ from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
 from hickory_stream.graph.gate import difference
 from hickory_stream.graph.gtsam_solver import Factors
-from hickory_stream.graph.solution import NoSolution, Solution
+from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import GATE_CHI2, INLIER_CHI2, node_covariances, relative_covariances, solve
 from tools.evaluation.simulated_maps.simulated_graphs import simulated_graph
 
@@ -229,7 +229,6 @@ def test_a_failure_of_the_library_is_an_answer(walk, monkeypatch):
 
     monkeypatch.setattr(Factors, "optimized", fail)
     answer = solve(walk.graph, CONFIG)
-    assert isinstance(answer, NoSolution)
     assert answer.reason == "the pose graph could not be solved: Indeterminant linear system"
 
 

@@ -100,7 +100,6 @@ def test_where_an_object_is_comes_from_its_best_layer(map_path, summary):
 def test_a_mesh_volume_is_what_it_encloses():
     box = box_mesh((0.4, 0.2, 0.1), (10, 200, 30))
     tracked = make_snapshot().objects[0]
-    assert tracked.shape is not None
     colors = np.full((len(tracked.points_world), 3), (200, 100, 0), dtype=np.uint8)
     colors[: len(colors) // 3] = (0, 0, 255)
     place = place_of(replace(tracked, colors=colors), box)
@@ -165,7 +164,6 @@ def test_the_command_sorts_and_filters(map_path, summary, capsys):
 def test_the_table_names_the_source_of_layer_three(map_path):
     saved = open_map(map_path)
     table = saved.snapshot.objects[0]
-    assert table.shape is not None
     hollow = replace(table.shape, fit_kind="envelope", verdict="triposr: agrees with 0.93 of the surface")
     objects = (replace(table, shape=hollow), *saved.snapshot.objects[1:])
     found = summarize(replace(saved, snapshot=replace(saved.snapshot, objects=objects)))

@@ -2,13 +2,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 import numpy as np
 import pytest
-from hickory_stream.box_scene import PERIOD_NS, START_NS
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.evaluation.why_text import place_text
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.inspection.point_history import story_of_point
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
-from hickory_stream.records import ObjectKind, RawFrame, SourceInfo
+from hickory_stream.records import ObjectKind
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.perception.perception_scenes import Block, floor, looking, render
 
@@ -71,41 +71,26 @@ ROOMS = {
 }  # fmt: skip
 
 
-class RoomSource:
+class RoomSource(SceneSource):
     """A source of a room: a camera that goes sideways before the wall."""
 
     def __init__(self, room):
+        super().__init__(NUM_FRAMES, (), camera=CAMERA)
         self._room = room
 
-    @property
-    def info(self):
-        return SourceInfo(
-            uri="memory:room", kind="synthetic room", identity="room", camera=CAMERA, num_frames=NUM_FRAMES,
-            start_ns=START_NS, end_ns=START_NS + (NUM_FRAMES - 1) * PERIOD_NS, streams=(("depth", "cast"),),
-        )  # fmt: skip
-
     def frames(self):
-        for i in range(NUM_FRAMES):
-            pose = looking(self._room.look, start=(0.0, -1.4 + 0.4 * i, 1.3))
-            yield RawFrame(
-                index=i, stamp_ns=START_NS + i * PERIOD_NS, camera=CAMERA, world_from_camera=pose,
-                decode=partial(self._decode, i, pose),
-            )  # fmt: skip
+        for raw in super().frames():
+            pose = looking(self._room.look, start=(0.0, -1.4 + 0.4 * raw.index, 1.3))
+            yield replace(raw, world_from_camera=pose, decode=partial(self._shown, raw, pose))
 
-    def _decode(self, index, pose):
+    def _shown(self, raw, pose):
         things, glass = list(self._room.things), self._room.glass
         frame, _ = render(things, pose, CAMERA)
         depth_m = frame.depth_m
         if glass is not None:
             _, shown = render([*things, glass], pose, CAMERA)
             depth_m = np.where(shown == len(things), np.float32(np.nan), depth_m)
-        return replace(frame, index=index, stamp_ns=START_NS + index * PERIOD_NS, depth_m=depth_m)
-
-    def ledger(self):
-        return {"frames": NUM_FRAMES}
-
-    def close(self):
-        pass
+        return replace(frame, index=raw.index, stamp_ns=raw.stamp_ns, depth_m=depth_m)
 
 
 @pytest.mark.parametrize("name", ROOMS)
