@@ -244,7 +244,7 @@ def seen(depth_m, max_sigma_m=0.1):
 
 
 def plane(normal, distance_m):
-    """Return the depth of the plane n . p = -d, as an shown."""
+    """Return the depth of the plane n . p = -d, as an image."""
     rays = backproject(np.ones((CAMERA.height, CAMERA.width), np.float32), CAMERA).astype(float)
     return -distance_m / (rays @ np.asarray(normal))
 

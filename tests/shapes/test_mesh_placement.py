@@ -165,13 +165,13 @@ class Knows:
 
 @pytest.fixture(scope="module")
 def seen_box():
-    """A box that is seen_box from three sides of an arc."""
+    """A box, seen from three sides of an arc."""
     whole = trimesh.creation.box((0.5, 0.3, 0.4)).apply_translation((0, 0, 0.2)).subdivide().subdivide().subdivide()
     return sighted(plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces)), np.random.default_rng(3), 3)
 
 
 def drawn(seen_box, *, flattened):
-    """Return the truth, with what lies behind the middle of what the first view sees drawn towards that by a share."""
+    """Return the truth, with what lies behind the middle of what the first view sees drawn towards it by a share."""
     mesh, crop = seen_box.mesh_world, seen_box.made_from.crops[0]
     vertices = mesh.vertices.astype(np.float64)
     along = vertices @ crop.world_from_camera[:3, 2]
