@@ -118,12 +118,6 @@ def test_importing_the_package_for_its_version_loads_nothing():
     assert [name for name in imported if name.split(".")[0] in OURS] == []
 
 
-def test_asyncio_lives_in_the_engine_only():
-    users = [module_of(file) for file in FILES if any(name.split(".")[0] == "asyncio" for name in imports_of(file))]
-    assert users
-    assert [name for name in users if not name.startswith("hickory_stream.engine.")] == []
-
-
 def test_nothing_prints_but_the_command_line():
     printers = {
         module_of(file)
@@ -135,9 +129,15 @@ def test_nothing_prints_but_the_command_line():
     assert {name for name in printers if not f"{name}.".startswith("hickory_stream.cli.")} == set()
 
 
-def test_twins_for_tests_are_imported_by_tests_only():
+def users_of(package):
+    return [module_of(file) for file in FILES if any(f"{name}.".startswith(f"{package}.") for name in imports_of(file))]
+
+
+def test_asyncio_is_for_the_engine_and_twins_and_tools_for_none():
     """What a run needs, such as the scene that warms it up, is no twin for tests."""
-    assert [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))] == []
+    assert users_of("asyncio")
+    assert [name for name in users_of("asyncio") if not name.startswith("hickory_stream.engine.")] == []
+    assert users_of("hickory_stream.testing") == users_of("tools") == []
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_of)
@@ -149,8 +149,3 @@ def test_all_functions_but_kernels_have_type_hints(file):
             if not decorators & {"kernel", "overload"} and node.returns is None:
                 bare.append(node.name)
     assert bare == []
-
-
-def test_the_product_imports_no_tools():
-    users = [module_of(file) for file in FILES if any(name.split(".")[0] == "tools" for name in imports_of(file))]
-    assert users == []

@@ -1,7 +1,6 @@
 from dataclasses import replace
 from itertools import combinations
 import numpy as np
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hickory_stream.alignment.affinity import (
@@ -81,11 +80,6 @@ def test_cosines_of_two_extractors_are_not_compared():
     ):
         assert word in (why_no_semantics(other, b) or "")
         assert semantic_scores(other, b) is None
-
-
-def test_a_wrong_tolerance_is_refused():
-    with pytest.raises(ValueError, match="centroid_m"):
-        AffinityConfig(centroid_m=0.0)
 
 
 def graph(linked, log_ranks):

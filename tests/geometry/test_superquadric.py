@@ -4,22 +4,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from hickory_stream.geometry import superquadric
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion
-from hickory_stream.geometry.superquadric import (
-    Superquadrics,
-    bounds_in,
-    canonical,
-    implicit_value,
-    log_implicit_value,
-    moved,
-    outward_normals,
-    radial_distance_m,
-    sorted_by_volume,
-    support,
-    taken,
-    volumes_m3,
-    world_bounds,
-)
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.pictures.open3d_import import import_open3d
 from tests.strategies import quadric
@@ -52,7 +38,10 @@ def test_bounds_in_any_frame_hold_the_surface_and_touch_it(primitive):
     frame_from_world = from_rotation_translation(
         rotation_from_quaternion(0.3, -0.5, 0.2, 0.7), np.array([1.0, -20.0, 3.0])
     )
-    for bounds, frame in ((bounds_in(primitive, frame_from_world), frame_from_world), (world_bounds(primitive), None)):
+    for bounds, frame in (
+        (superquadric.bounds_in(primitive, frame_from_world), frame_from_world),
+        (superquadric.world_bounds(primitive), None),
+    ):
         vertices = display_mesh(primitive, 0, 2e-4)[0].astype(np.float64)
         inside = vertices if frame is None else apply(frame, vertices)
         low, high = bounds[0]
@@ -69,15 +58,15 @@ def test_normals_agree_with_finite_differences(primitive, seed):
     pose = primitive.world_from_local.copy()
     pose[0, :3, 3] = 0
     small = np.maximum(primitive.semi_axes_m / primitive.semi_axes_m.max(), 0.2)
-    body = Superquadrics(exponents=primitive.exponents, semi_axes_m=small, world_from_local=pose)
+    body = superquadric.Superquadrics(exponents=primitive.exponents, semi_axes_m=small, world_from_local=pose)
     rng = np.random.default_rng(seed)
     local = rng.choice([-1.0, 1.0], (20, 3)) * rng.uniform(0.1, 1.2, (20, 3)) * small
     points = local @ pose[0, :3, :3].T
     step = 1e-6
-    ahead = np.stack([log_implicit_value(body, 0, points + step * axis) for axis in np.eye(3)], axis=1)
-    behind = np.stack([log_implicit_value(body, 0, points - step * axis) for axis in np.eye(3)], axis=1)
+    ahead = np.stack([superquadric.log_implicit_value(body, 0, points + step * axis) for axis in np.eye(3)], axis=1)
+    behind = np.stack([superquadric.log_implicit_value(body, 0, points - step * axis) for axis in np.eye(3)], axis=1)
     of_log = (ahead - behind) / (2 * step)
-    normals = outward_normals(body, 0, points)
+    normals = superquadric.outward_normals(body, 0, points)
     assert np.abs(normals - of_log / np.linalg.norm(of_log, axis=1, keepdims=True)).max() < 1e-3
 
 
@@ -86,7 +75,7 @@ def test_normals_are_of_unit_length_everywhere(primitive):
     center = primitive.world_from_local[0, :3, 3]
     axes = primitive.world_from_local[0, :3, :3]
     points = np.concatenate([[center, center + 1e6, center + 1e-9], center + axes.T, center - 1e-3 * axes.T])
-    normals = outward_normals(primitive, 0, points)
+    normals = superquadric.outward_normals(primitive, 0, points)
     assert np.linalg.norm(normals[1:], axis=1) == pytest.approx(np.ones(len(points) - 1))
 
 
@@ -94,20 +83,20 @@ def test_normals_are_of_unit_length_everywhere(primitive):
 def test_volume_agrees_with_the_closed_mesh(exponents):
     primitive = one(exponents, (0.7, 0.4, 0.2))
     vertices, faces = display_mesh(primitive, 0, 1e-4)
-    assert signed_volume(vertices, faces) == pytest.approx(volumes_m3(primitive)[0], rel=0.01)
+    assert signed_volume(vertices, faces) == pytest.approx(superquadric.volumes_m3(primitive)[0], rel=0.01)
 
 
 def test_volumes_and_values_of_known_solids_are_exact():
-    assert volumes_m3(one((1.0, 1.0), (1.0, 2.0, 3.0)))[0] == pytest.approx(4 / 3 * np.pi * 6)
-    assert volumes_m3(one((2.0, 2.0), (1.0, 1.0, 1.0)))[0] == pytest.approx(4 / 3)
+    assert superquadric.volumes_m3(one((1.0, 1.0), (1.0, 2.0, 3.0)))[0] == pytest.approx(4 / 3 * np.pi * 6)
+    assert superquadric.volumes_m3(one((2.0, 2.0), (1.0, 1.0, 1.0)))[0] == pytest.approx(4 / 3)
     points = np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0, 2.0], [3.0, 4.0, 0]])
-    assert implicit_value(one((1.0, 1.0), (1.0, 1.0, 1.0)), 0, points) == pytest.approx([0, 0.25, 4, 25])
+    assert superquadric.implicit_value(one((1.0, 1.0), (1.0, 1.0, 1.0)), 0, points) == pytest.approx([0, 0.25, 4, 25])
 
 
 @given(quadrics())
 def test_implicit_value_is_finite_far_away_and_at_the_centre(primitive):
     center = primitive.world_from_local[0, :3, 3]
-    values = implicit_value(primitive, 0, np.stack([center, center + 1e6]))
+    values = superquadric.implicit_value(primitive, 0, np.stack([center, center + 1e6]))
     assert np.isfinite(values).all()
     assert values[0] < 1 < values[1]
 
@@ -117,7 +106,7 @@ def test_scaling_a_point_scales_the_implicit_value_by_a_power(primitive):
     vertices, _ = display_mesh(primitive, 0)
     center = primitive.world_from_local[0, :3, 3]
     scaled = center + 1.5 * (vertices - center)
-    value = implicit_value(primitive, 0, scaled)
+    value = superquadric.implicit_value(primitive, 0, scaled)
     e1 = primitive.exponents[0, 0]
     # The vertices are float32, a few micrometres off at 50 m: no claim for primitives as small as that.
     if primitive.semi_axes_m.min() > 0.1:
@@ -128,16 +117,16 @@ def test_scaling_a_point_scales_the_implicit_value_by_a_power(primitive):
 def test_support_bounds_every_surface_point(primitive, direction):
     vertices, _ = display_mesh(primitive, 0)
     d = np.array([direction])
-    assert (vertices @ d[0]).max() <= support(primitive, 0, d)[0] + 1e-4
+    assert (vertices @ d[0]).max() <= superquadric.support(primitive, 0, d)[0] + 1e-4
 
 
 def test_sorting_puts_the_largest_volume_first_and_is_stable():
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, 0, 3] = [0, 1, 2]
-    three = Superquadrics(
+    three = superquadric.Superquadrics(
         exponents=np.ones((3, 2)), semi_axes_m=np.array([[1, 1, 1], [2, 2, 2], [1, 1, 1.0]]), world_from_local=poses
     )
-    assert sorted_by_volume(three).world_from_local[:, 0, 3].tolist() == [1, 0, 2]
+    assert superquadric.sorted_by_volume(three).world_from_local[:, 0, 3].tolist() == [1, 0, 2]
 
 
 axis = st.floats(0.005, 1.0)
@@ -174,7 +163,7 @@ def test_surface_points_are_within_the_stated_error(primitive, share):
     largest = float(primitive.semi_axes_m.max())
     allowed = 0.01 * largest if share is None else share * largest
     vertices, faces = display_mesh(primitive, 0, None if share is None else allowed)
-    assert np.abs(radial_distance_m(primitive, 0, vertices)).max() <= 1e-5 * largest
+    assert np.abs(superquadric.radial_distance_m(primitive, 0, vertices)).max() <= 1e-5 * largest
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(vertices, faces.astype(np.uint32))
@@ -190,10 +179,10 @@ def test_the_mesh_is_closed_and_looks_outwards(primitive):
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
-    assert 0 < mesh.volume <= volumes_m3(primitive)[0] * (1 + 1e-4)
+    assert 0 < mesh.volume <= superquadric.volumes_m3(primitive)[0] * (1 + 1e-4)
     middles, areas = mesh.triangles_center, mesh.area_faces
     large = areas > 1e-9 * areas.sum()
-    facing = (mesh.face_normals * outward_normals(primitive, 0, middles)).sum(axis=1)
+    facing = (mesh.face_normals * superquadric.outward_normals(primitive, 0, middles)).sum(axis=1)
     assert (facing[large] > 0).all()
 
 
@@ -212,7 +201,7 @@ def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
     points = surface_points(primitive, 0, count)
     largest = float(primitive.semi_axes_m.max())
     assert points.shape == (count, 3)
-    assert np.abs(radial_distance_m(primitive, 0, points)).max() <= 1e-9 * largest
+    assert np.abs(superquadric.radial_distance_m(primitive, 0, points)).max() <= 1e-9 * largest
     vertices, faces = display_mesh(primitive, 0, 0.001 * largest)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     everywhere, _ = trimesh.sample.sample_surface(mesh, 3000, seed=0)
@@ -255,7 +244,7 @@ def objects(draw):
     if draw(st.booleans()):
         semi_axes[:, 1] = semi_axes[:, 0]
     poses = np.stack([from_rotation_translation(random_rotation(rng), rng.normal(size=3)) for _ in range(count)])
-    return Superquadrics(exponents=exponents, semi_axes_m=semi_axes, world_from_local=poses)
+    return superquadric.Superquadrics(exponents=exponents, semi_axes_m=semi_axes, world_from_local=poses)
 
 
 def in_another_form(primitives, rng):
@@ -271,9 +260,9 @@ def in_another_form(primitives, rng):
         rotation = poses[i, :3, :3][:, order] * rng.choice([-1.0, 1.0], 3)
         rotation[:, 2] *= np.sign(np.linalg.det(rotation))
         poses[i, :3, :3] = rotation
-    form = Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=poses)
+    form = superquadric.Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=poses)
     place = from_rotation_translation(random_rotation(rng), rng.normal(size=3))
-    return moved(taken(form, rng.permutation(len(form))), place)
+    return superquadric.moved(superquadric.taken(form, rng.permutation(len(form))), place)
 
 
 @given(objects(), st.integers(0, 1000))
@@ -296,19 +285,21 @@ def test_a_smaller_sigma_never_raises_the_score(a, b, sigma):
 @given(objects(), st.integers(0, 1000))
 def test_the_canonical_form_is_one_for_all_and_the_same_body(shape, seed):
     rng = np.random.default_rng(seed)
-    sharp = Superquadrics(
+    sharp = superquadric.Superquadrics(
         exponents=np.minimum(shape.exponents, 1.0),
         semi_axes_m=shape.semi_axes_m,
         world_from_local=shape.world_from_local,
     )
-    form = canonical(sharp)
+    form = superquadric.canonical(sharp)
     order = rng.permutation(len(sharp))
-    again = canonical(taken(sharp, order))
+    again = superquadric.canonical(superquadric.taken(sharp, order))
     np.testing.assert_allclose(again.semi_axes_m, form.semi_axes_m)
     np.testing.assert_allclose(again.world_from_local, form.world_from_local, atol=1e-9)
-    np.testing.assert_allclose(canonical(form).world_from_local, form.world_from_local, atol=1e-9)
+    np.testing.assert_allclose(superquadric.canonical(form).world_from_local, form.world_from_local, atol=1e-9)
     points = rng.normal(size=(40, 3))
-    inside = [np.min([implicit_value(s, i, points) for i in range(len(s))], axis=0) <= 1 for s in (sharp, form)]
+    inside = [
+        np.min([superquadric.implicit_value(s, i, points) for i in range(len(s))], axis=0) <= 1 for s in (sharp, form)
+    ]
     assert np.array_equal(*inside)
 
 
@@ -316,16 +307,16 @@ def test_a_form_with_renamed_axes_has_the_same_canonical_form():
     turned = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     a = quadric((0.5, 0.5), (3.0, 2, 1))
     b = quadric((0.5, 0.5), a.semi_axes_m[0] @ turned, from_rotation_translation(turned, np.zeros(3)))
-    np.testing.assert_allclose(canonical(b).semi_axes_m, a.semi_axes_m)
-    np.testing.assert_allclose(canonical(b).world_from_local, a.world_from_local, atol=1e-12)
+    np.testing.assert_allclose(superquadric.canonical(b).semi_axes_m, a.semi_axes_m)
+    np.testing.assert_allclose(superquadric.canonical(b).world_from_local, a.world_from_local, atol=1e-12)
 
 
 def test_a_column_over_a_diamond_is_written_as_its_dual():
     diamond = quadric((0.1, 1.9), (0.2, 0.2, 0.5))
-    square = canonical(diamond)
+    square = superquadric.canonical(diamond)
     assert square.exponents[0, 1] == pytest.approx(0.1)
     assert square.semi_axes_m[0].min() == pytest.approx(0.2 / np.sqrt(2), rel=0.05)
-    assert volumes_m3(square)[0] == pytest.approx(volumes_m3(diamond)[0], rel=0.03)
+    assert superquadric.volumes_m3(square)[0] == pytest.approx(superquadric.volumes_m3(diamond)[0], rel=0.03)
     assert shape_score(diamond, square) > 0.97
 
 
@@ -341,8 +332,8 @@ def test_the_score_of_a_sphere_is_worked_out_by_hand():
 
 def test_volume_without_a_partner_counts_against():
     poses = np.tile(np.eye(4), (2, 1, 1))
-    two = Superquadrics(
+    two = superquadric.Superquadrics(
         exponents=np.ones((2, 2)), semi_axes_m=np.array([[1.0, 1, 1], [1, 1, 1]]), world_from_local=poses
     )
-    assert shape_score(two, taken(two, np.array([0]))) == pytest.approx(0.5)
-    assert shape_score(two, taken(two, np.array([], dtype=np.int64))) == 0.0
+    assert shape_score(two, superquadric.taken(two, np.array([0]))) == pytest.approx(0.5)
+    assert shape_score(two, superquadric.taken(two, np.array([], dtype=np.int64))) == 0.0

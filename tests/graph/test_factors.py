@@ -1,15 +1,8 @@
 import numpy as np
 import pytest
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
+from hickory_stream.graph import factors
 from hickory_stream.graph.config import GraphConfig
-from hickory_stream.graph.factors import (
-    DEGENERATE_SHARE,
-    LoopEdge,
-    OdometryEdge,
-    PoseGraph,
-    odometry_covariance,
-    tangent_covariance,
-)
 from hickory_stream.graph.gtsam_solver import sharper, smoothest, weights_of
 from hickory_stream.graph.solve import solve
 from tests.graph.graph_fixtures import solved_graph, walk
@@ -18,22 +11,22 @@ CONFIG = GraphConfig()
 
 
 def test_covariance_of_odometry_grows_with_the_path_however_cut():
-    short, long = odometry_covariance(1.0, 0.0, CONFIG), odometry_covariance(10.0, 0.0, CONFIG)
+    short, long = factors.odometry_covariance(1.0, 0.0, CONFIG), factors.odometry_covariance(10.0, 0.0, CONFIG)
     assert (np.diag(long) > np.diag(short)).all()
-    turned = odometry_covariance(1.0, 3.0, CONFIG)
+    turned = factors.odometry_covariance(1.0, 3.0, CONFIG)
     assert turned[2, 2] > short[2, 2]
     assert turned[5, 5] == short[5, 5]
-    whole, half = odometry_covariance(30.0, 0.0, CONFIG), odometry_covariance(15.0, 0.0, CONFIG)
+    whole, half = factors.odometry_covariance(30.0, 0.0, CONFIG), factors.odometry_covariance(15.0, 0.0, CONFIG)
     assert whole[3, 3] == pytest.approx(2 * half[3, 3], rel=0.1)
 
 
 def test_odometry_is_wider_along_what_scans_left_open():
-    plain = odometry_covariance(5.0, 0.2, CONFIG)
+    plain = factors.odometry_covariance(5.0, 0.2, CONFIG)
     along = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
-    wider = odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
-    assert along @ wider @ along == pytest.approx((DEGENERATE_SHARE * 5.0) ** 2)
+    wider = factors.odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
+    assert along @ wider @ along == pytest.approx((factors.DEGENERATE_SHARE * 5.0) ** 2)
     assert np.abs(wider @ np.array([0.0, 0.0, 0.0, -0.8, 0.6, 0.0])).max() == pytest.approx(0.0, abs=1e-12)
-    jumped = odometry_covariance(5.0, 0.2, CONFIG, jumps=1)
+    jumped = factors.odometry_covariance(5.0, 0.2, CONFIG, jumps=1)
     assert np.sqrt(jumped[3, 3]) > 29
     assert np.sqrt(jumped[2, 2]) > 2.9
 
@@ -52,36 +45,38 @@ def test_the_covariance_of_an_alignment_becomes_that_of_an_edge():
         skew = (error[:3, :3] - error[:3, :3].T) / 2
         errors.append([skew[2, 1], skew[0, 2], skew[1, 0], *error[:3, 3]])
     sampled = np.cov(np.array(errors).T)
-    expected = tangent_covariance(a_from_b, np.diag(sigmas**2), center_a)
+    expected = factors.tangent_covariance(a_from_b, np.diag(sigmas**2), center_a)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.abs((sampled - expected) / scale).max() < 0.08
 
 
 def edge(before, after):
-    return OdometryEdge(before=before, after=after, before_from_after=np.eye(4), covariance=np.eye(6))
+    return factors.OdometryEdge(before=before, after=after, before_from_after=np.eye(4), covariance=np.eye(6))
 
 
 def test_an_edge_that_is_none_is_refused():
     with pytest.raises(ValueError, match="earlier node to a later"):
         edge(2, 1)
     with pytest.raises(ValueError, match="positive definite"):
-        OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=np.zeros((6, 6)))
+        factors.OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=np.zeros((6, 6)))
     with pytest.raises(ValueError, match="not rigid"):
-        OdometryEdge(before=0, after=1, before_from_after=2 * np.eye(4), covariance=np.eye(6))
+        factors.OdometryEdge(before=0, after=1, before_from_after=2 * np.eye(4), covariance=np.eye(6))
 
 
 def test_a_graph_whose_nodes_hang_on_nothing_is_refused():
     poses = np.array([np.eye(4)] * 3)
     with pytest.raises(ValueError, match="one odometry edge"):
-        PoseGraph(world_from_node=poses, odometry=(edge(0, 1),), loops=(), gravity_sigma_rad=0.02)
+        factors.PoseGraph(world_from_node=poses, odometry=(edge(0, 1),), loops=(), gravity_sigma_rad=0.02)
     with pytest.raises(ValueError, match="not finite"):
-        PoseGraph(world_from_node=np.full((1, 4, 4), np.nan), odometry=(), loops=(), gravity_sigma_rad=0.02)
-    loop = LoopEdge(
+        factors.PoseGraph(world_from_node=np.full((1, 4, 4), np.nan), odometry=(), loops=(), gravity_sigma_rad=0.02)
+    loop = factors.LoopEdge(
         id=0, earlier=0, later=3, earlier_from_later=np.eye(4), covariance=np.eye(6), method="surface", score=1.0,
         stamp_ns=0,
     )  # fmt: skip
     with pytest.raises(ValueError, match="not there"):
-        PoseGraph(world_from_node=poses, odometry=(edge(0, 1), edge(1, 2)), loops=(loop,), gravity_sigma_rad=0.02)
+        factors.PoseGraph(
+            world_from_node=poses, odometry=(edge(0, 1), edge(1, 2)), loops=(loop,), gravity_sigma_rad=0.02
+        )
 
 
 LIMIT = 16.0

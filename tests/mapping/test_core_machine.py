@@ -2,20 +2,7 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from hickory_stream.events import (
-    CancelShape,
-    ComputeFeatures,
-    DropView,
-    FeaturesReady,
-    KeepView,
-    PoseJumped,
-    PosesCorrected,
-    Publish,
-    RequestShape,
-    ShapeFailed,
-    SourceEnded,
-    TimeJumped,
-)
+from hickory_stream import events
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.digest import map_digest
@@ -24,22 +11,12 @@ from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
-from tests.mapping.mapping_fixtures import (
-    SECOND_NS,
-    VOXEL_M,
-    box_surface,
-    feature,
-    keyframe,
-    observation,
-    shape_ready,
-    space,
-    told,
-)
+from tests.mapping import mapping_fixtures
 from tests.strategies import unit_share
 
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(
-    voxels=Lattice(object_m=VOXEL_M),
+    voxels=Lattice(object_m=mapping_fixtures.VOXEL_M),
     lifecycle=LifecycleConfig(confirm_s=1.0, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_s=2.0),
     merge=MergeConfig(min_together_s=1.5),
     requests=RequestConfig(
@@ -51,8 +28,8 @@ CONFIG = MappingConfig(
 def points_at(site, kind, shift_m):
     """A box at one of four neighbouring places, half of it, or the box and its neighbour as one."""
     if kind == "pair":
-        return box_surface((0.22 * site + 0.11 + shift_m, 0, 0.1), (0.42, 0.2, 0.2))
-    points = box_surface((0.22 * site + shift_m, 0, 0.1))
+        return mapping_fixtures.box_surface((0.22 * site + 0.11 + shift_m, 0, 0.1), (0.42, 0.2, 0.2))
+    points = mapping_fixtures.box_surface((0.22 * site + shift_m, 0, 0.1))
     return points[points[:, 0] < 0.22 * site] if kind == "half" else points
 
 
@@ -103,19 +80,19 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
 
     def note(self, effect):
         match effect:
-            case KeepView(view=view):
+            case events.KeepView(view=view):
                 assert view.name not in self.kept
                 self.kept.add(view.name)
-            case DropView(name=name):
+            case events.DropView(name=name):
                 assert name in self.kept - self.dropped
                 self.dropped.add(name)
-            case RequestShape():
+            case events.RequestShape():
                 assert effect.object_id not in self.open.values()
                 assert {view.name for view in effect.views} <= self.kept - self.dropped
                 self.open[effect.ticket] = effect.object_id
-            case CancelShape(ticket=ticket):
+            case events.CancelShape(ticket=ticket):
                 del self.open[ticket]
-            case Publish(snapshot=snapshot):
+            case events.Publish(snapshot=snapshot):
                 self.published.append((snapshot, map_digest(snapshot)))
 
     # ---- what happens -----------------------------------------------------------------------------------------------
@@ -127,21 +104,23 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         looked_through=st.sampled_from([None, None, 0, 1, 2, 3]),
     )
     def a_keyframe_comes(self, seen, gap_s, angle_rad, looked_through):
-        self.stamp_ns += round(gap_s * SECOND_NS)
+        self.stamp_ns += round(gap_s * mapping_fixtures.SECOND_NS)
         shown = [
-            observation(i, points_at(site, kind, shift), r_area=area)
+            mapping_fixtures.observation(i, points_at(site, kind, shift), r_area=area)
             for i, (site, kind, shift, area, _) in enumerate(seen)
         ]
         free = None
         if looked_through is not None:
             free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.voxels.space_m)
-        event = keyframe(self.num_frames, shown, stamp_ns=self.stamp_ns, seen=space(free=free), angle_rad=angle_rad)
+        event = mapping_fixtures.keyframe(
+            self.num_frames, shown, stamp_ns=self.stamp_ns, seen=mapping_fixtures.space(free=free), angle_rad=angle_rad
+        )
         self.num_frames += 1
         effects = self.tell(event)
-        if isinstance(effects[-1], ComputeFeatures):
+        if isinstance(effects[-1], events.ComputeFeatures):
             asked = effects[-1]
-            features = tuple(feature(i, seen[i][4]) for i in asked.observation_indices)
-            effects = self.tell(FeaturesReady(frame_index=asked.frame_index, features=features))
+            features = tuple(mapping_fixtures.feature(i, seen[i][4]) for i in asked.observation_indices)
+            effects = self.tell(events.FeaturesReady(frame_index=asked.frame_index, features=features))
         assert len(effects[-1].object_ids) == len(seen)
 
     @precondition(lambda self: self.open)
@@ -150,17 +129,19 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         ticket = sorted(self.open)[which % len(self.open)]
         object_id = self.open.pop(ticket)
         if is_ready:
-            self.tell(shape_ready(ticket, object_id))
+            self.tell(mapping_fixtures.shape_ready(ticket, object_id))
             assert {o.id: o for o in self.core.snapshot().objects}[object_id].shape is not None
         else:
-            self.tell(ShapeFailed(ticket=ticket, object_id=object_id, stamp_ns=self.stamp_ns, reason="no points"))
+            self.tell(
+                events.ShapeFailed(ticket=ticket, object_id=object_id, stamp_ns=self.stamp_ns, reason="no points")
+            )
 
     @precondition(lambda self: self.num_frames > 0)
     @rule(to_s=st.sampled_from([0, 10_000]))
     def the_stamps_jump(self, to_s):
         before = [tracked.id for tracked in self.core.snapshot().objects]
-        self.tell(TimeJumped(from_ns=self.stamp_ns, to_ns=to_s * SECOND_NS))
-        self.stamp_ns = to_s * SECOND_NS
+        self.tell(events.TimeJumped(from_ns=self.stamp_ns, to_ns=to_s * mapping_fixtures.SECOND_NS))
+        self.stamp_ns = to_s * mapping_fixtures.SECOND_NS
         assert [tracked.id for tracked in self.core.snapshot().objects] == before
 
     @precondition(lambda self: self.num_frames > 0)
@@ -169,7 +150,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         jump = np.eye(4)
         jump[0, 3] = by_m
         before = [tracked.id for tracked in self.core.snapshot().objects]
-        assert self.tell(PoseJumped(stamp_ns=self.stamp_ns, after_from_before=jump)) == []
+        assert self.tell(events.PoseJumped(stamp_ns=self.stamp_ns, after_from_before=jump)) == []
         assert [tracked.id for tracked in self.core.snapshot().objects] == before
 
     @rule(which=st.integers(0, 10), by_m=st.sampled_from([0.0, 0.3]))
@@ -178,7 +159,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         place[1, 3] = by_m
         submap_id = which % len(self.core.snapshot().submaps)
         (published,) = self.tell(
-            PosesCorrected(stamp_ns=self.stamp_ns, submap_ids=(submap_id,), world_from_submap=place[None])
+            events.PosesCorrected(stamp_ns=self.stamp_ns, submap_ids=(submap_id,), world_from_submap=place[None])
         )
         assert np.array_equal(published.snapshot.submaps[submap_id].world_from_submap, place)
 
@@ -234,7 +215,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
     @invariant()
     def memory_is_bounded_by_the_surface(self):
         # All that can ever be seen is 1.1 m of a row of boxes: its voxels, once for each object.
-        num_cells = (1.2 / VOXEL_M) * (0.24 / VOXEL_M) ** 2
+        num_cells = (1.2 / mapping_fixtures.VOXEL_M) * (0.24 / mapping_fixtures.VOXEL_M) ** 2
         assert all(len(tracked.points_world) <= num_cells for tracked in self.core.snapshot().objects)
         assert all(len(tracked.views) <= 8 + 1 for tracked in self.core.snapshot().objects)
 
@@ -244,10 +225,10 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         self.the_same_events_give_the_same_effects()
 
     def the_end_asks_for_what_is_missing(self):
-        self.tell(SourceEnded(stamp_ns=self.stamp_ns))
+        self.tell(events.SourceEnded(stamp_ns=self.stamp_ns))
         self.every_view_that_is_referred_to_was_kept_and_not_dropped()
         self.every_kept_view_is_either_needed_or_dropped()
-        failed = [event.object_id for event in self.events if isinstance(event, ShapeFailed)]
+        failed = [event.object_id for event in self.events if isinstance(event, events.ShapeFailed)]
         for tracked in self.core.snapshot().objects:
             assert tracked.phase != "tentative"
             has_or_gets_one = tracked.shape is not None or tracked.id in self.open.values()
@@ -256,8 +237,8 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
     def the_same_events_give_the_same_effects(self):
         again = MapperCore(CONFIG)
         effects = [effect for event in self.events for effect in again.handle(event)]
-        assert told(effects) == told(self.effects)
-        digests = [map_digest(effect.snapshot) for effect in effects if isinstance(effect, Publish)]
+        assert mapping_fixtures.told(effects) == mapping_fixtures.told(self.effects)
+        digests = [map_digest(effect.snapshot) for effect in effects if isinstance(effect, events.Publish)]
         assert digests == [digest for _, digest in self.published]
 
 

@@ -111,11 +111,6 @@ def test_prior_knowledge_of_perception_outlives_a_submap():
     assert MapperCore(CONFIG).prior() is None
 
 
-def test_a_way_of_no_length_is_refused():
-    with pytest.raises(ValueError, match=r"travel_m is 0\.0; expected 0\.01 to"):
-        SubmapConfig(travel_m=0.0)
-
-
 _KEYS = st.lists(st.integers(0, 30), max_size=12).map(lambda keys: np.unique(np.int64(keys)))
 
 

@@ -5,16 +5,8 @@ import trimesh
 from scipy.spatial import cKDTree
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, NoShape, NotPlaced, Reconstruction
+from hickory_stream.shapes.generated import judgement
 from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
-from hickory_stream.shapes.generated.judgement import (
-    JudgementConfig,
-    ShapeEvidence,
-    by_other_views,
-    judged,
-    newly_seen,
-    replaces,
-    shape_evidence,
-)
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.evaluation.shapes.spoiled_generator import generated, plain_mesh, sighted
 
@@ -121,30 +113,32 @@ def test_distances_are_those_to_the_surface():
 
 
 def evidence_of(mesh, seen):
-    return shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1)
+    return judgement.shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1)
 
 
 def test_the_truth_is_accepted_and_other_things_are_refused(seen):
     truth = evidence_of(seen.mesh_world, seen)
     assert truth.explained > 0.9
     assert truth.violated < 0.1
-    assert judged(truth).is_accepted
+    assert judgement.judged(truth).is_accepted
     low, high = seen.mesh_world.vertices.min(axis=0), seen.mesh_world.vertices.max(axis=0)
     filled = trimesh.creation.box(high - low).apply_translation((low + high) / 2).subdivide().subdivide()
     block = evidence_of(plain_mesh(np.asarray(filled.vertices), np.asarray(filled.faces)), seen)
-    verdict = judged(block)
+    verdict = judgement.judged(block)
     assert not verdict.is_accepted
     assert "in free space" in verdict.reason
     above = plain_mesh(seen.mesh_world.vertices + np.array([0, 0, 0.2]), seen.mesh_world.faces)
-    assert "off its support" in judged(evidence_of(above, seen)).reason
+    assert "off its support" in judgement.judged(evidence_of(above, seen)).reason
 
 
 def test_a_shape_worth_less_does_not_replace_the_embedded():
-    good = ShapeEvidence(explained=0.9, violated=0.05, silhouette=0.9, other_silhouette=None, support_gap=None)
+    good = judgement.ShapeEvidence(
+        explained=0.9, violated=0.05, silhouette=0.9, other_silhouette=None, support_gap=None
+    )
     poor = replace(good, explained=0.7)
-    assert replaces(good, poor, JudgementConfig()).is_accepted
-    assert replaces(good, good, JudgementConfig()).is_accepted
-    refused = replaces(poor, good, JudgementConfig())
+    assert judgement.replaces(good, poor, judgement.JudgementConfig()).is_accepted
+    assert judgement.replaces(good, good, judgement.JudgementConfig()).is_accepted
+    refused = judgement.replaces(poor, good, judgement.JudgementConfig())
     assert not refused.is_accepted
     assert "worth 0.65, the embedded one 0.85" in refused.reason
 
@@ -181,28 +175,28 @@ def drawn(seen_box, *, flattened):
 
 
 def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen_box):
-    first, new, size_m = newly_seen(seen_box.made_from, 1)
+    first, new, size_m = judgement.newly_seen(seen_box.made_from, 1)
     assert len(new) > 100
     nearest = np.linalg.norm(new[:, None] - first[None, ::5], axis=2).min(axis=1)
     assert nearest.min() > 0.02 * size_m
-    assert newly_seen(seen_box.made_from, len(seen_box.made_from.crops)) is None
-    assert newly_seen(replace(seen_box.made_from, crops=seen_box.made_from.crops[:1] * 3), 1) is None
+    assert judgement.newly_seen(seen_box.made_from, len(seen_box.made_from.crops)) is None
+    assert judgement.newly_seen(replace(seen_box.made_from, crops=seen_box.made_from.crops[:1] * 3), 1) is None
 
 
 def test_a_made_up_back_loses_to_a_better_foretelling_shape(seen_box):
     true, flat = drawn(seen_box, flattened=0.0), drawn(seen_box, flattened=0.9)
     knows = Knows(true)
-    refused = by_other_views(flat, seen_box.made_from, 1, knows)
+    refused = judgement.by_other_views(flat, seen_box.made_from, 1, knows)
     assert not refused.is_accepted
     assert "the embedded one 1.00" in refused.reason
     # The embedded shape is asked with the generator's views alone, and with no points that only others saw.
     assert knows.shown.crops == seen_box.made_from.crops[:1]
-    assert len(newly_seen(seen_box.made_from, 1)[0]) == len(knows.shown.points_world)
+    assert len(judgement.newly_seen(seen_box.made_from, 1)[0]) == len(knows.shown.points_world)
 
 
 @pytest.mark.parametrize("other", ["flat", "none"])
 def test_a_shape_that_foretold_what_was_seen_is_kept(seen_box, other):
     embedded = NoShape(reason="no") if other == "none" else drawn(seen_box, flattened=0.9)
-    verdict = by_other_views(drawn(seen_box, flattened=0.0), seen_box.made_from, 1, Knows(embedded))
+    verdict = judgement.by_other_views(drawn(seen_box, flattened=0.0), seen_box.made_from, 1, Knows(embedded))
     assert verdict.is_accepted
     assert verdict.reason.startswith("foretold 1.00")

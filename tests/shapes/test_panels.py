@@ -51,22 +51,13 @@ def union_m3(primitives):
     return 27 * float(inside.mean())
 
 
-def test_a_carpet_is_as_thick_as_it_is():
-    found = fitted_shape(as_mesh(turned(trimesh.creation.box((2.0, 1.4, 0.002)))), CONFIG)
-    assert found.kind == "panels"
-    assert np.sort(found.primitives.semi_axes_m) == pytest.approx(np.array([[0.001, 0.7, 1.0]]), rel=0.01)
-
-
-def test_a_rod_is_as_thick_as_it_is():
-    rod = turned(trimesh.creation.cylinder(radius=0.006, height=5.0, sections=24))
-    found = fitted_shape(as_mesh(rod), CONFIG).primitives
-    assert np.sort(found.semi_axes_m) == pytest.approx(np.array([[0.006, 0.006, 2.5]]), rel=0.02)
-
-
-def test_a_carton_keeps_its_five_panels():
-    found = fitted_shape(as_mesh(turned(carton())), CONFIG)
-    assert found.kind == "panels"
-    assert found.primitives.semi_axes_m.min(axis=1) == pytest.approx(np.full(5, 0.002), rel=0.01)
+def test_a_carpet_a_rod_and_five_panels_are_as_thick_as_they_are():
+    thin = trimesh.creation.box((2.0, 1.4, 0.002)), trimesh.creation.cylinder(radius=0.006, height=5.0, sections=24)
+    carpet, rod, box = (fitted_shape(as_mesh(turned(mesh)), CONFIG) for mesh in (*thin, carton()))
+    assert carpet.kind == box.kind == "panels"
+    assert np.sort(carpet.primitives.semi_axes_m) == pytest.approx(np.array([[0.001, 0.7, 1.0]]), rel=0.01)
+    assert np.sort(rod.primitives.semi_axes_m) == pytest.approx(np.array([[0.006, 0.006, 2.5]]), rel=0.02)
+    assert box.primitives.semi_axes_m.min(axis=1) == pytest.approx(np.full(5, 0.002), rel=0.01)
 
 
 def test_the_panels_of_a_bent_sheet_are_as_thick_as_the_sheet():

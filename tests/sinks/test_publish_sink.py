@@ -7,17 +7,7 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.records import ObjectKind, Phase, SpaceObservation
-from hickory_stream.sinks.publish_sink import (
-    GOAL_TOPIC,
-    MAP_TOPIC,
-    MARKERS_TOPIC,
-    OBJECTS_TOPIC,
-    PLAN_TOPIC,
-    TF_TOPIC,
-    UPDATES_TOPIC,
-    Outbox,
-    PublishSink,
-)
+from hickory_stream.sinks import publish_sink
 from hickory_stream.sinks.ros_messages import goal_message, store
 from tests.navigation.rooms import boxes, snapshot, table, tracked
 from tests.players.live.robot_fixtures import eventually
@@ -76,7 +66,7 @@ def room(**options):
 def told(*snapshots, link=None):
     """What a link has been sent once everything was."""
     link = link or Link()
-    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    sink = publish_sink.PublishSink(ROBOT, link, odom_frame="odom")
     for of in snapshots:
         sink.show(report(of))
     sink.close()
@@ -85,19 +75,19 @@ def told(*snapshots, link=None):
 
 def test_topics_have_the_types_and_durability_of_nav2():
     assert told().offers == {
-        MAP_TOPIC: ("nav_msgs/msg/OccupancyGrid", True),
-        UPDATES_TOPIC: ("map_msgs/msg/OccupancyGridUpdate", False),
-        OBJECTS_TOPIC: ("vision_msgs/msg/Detection3DArray", False),
-        MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", True),
-        TF_TOPIC: ("tf2_msgs/msg/TFMessage", False),
-        PLAN_TOPIC: ("nav_msgs/msg/Path", False),
+        publish_sink.MAP_TOPIC: ("nav_msgs/msg/OccupancyGrid", True),
+        publish_sink.UPDATES_TOPIC: ("map_msgs/msg/OccupancyGridUpdate", False),
+        publish_sink.OBJECTS_TOPIC: ("vision_msgs/msg/Detection3DArray", False),
+        publish_sink.MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", True),
+        publish_sink.TF_TOPIC: ("tf2_msgs/msg/TFMessage", False),
+        publish_sink.PLAN_TOPIC: ("nav_msgs/msg/Path", False),
     }
 
 
 def test_objects_have_ids_kinds_boxes_and_poses():
     of = room()
     attached = replace(of.objects[0], kind=ObjectKind.FIXTURE, fixture_probability=0.75)
-    detections = told(replace(of, objects=(attached, of.objects[1]))).last(OBJECTS_TOPIC).detections
+    detections = told(replace(of, objects=(attached, of.objects[1]))).last(publish_sink.OBJECTS_TOPIC).detections
     assert [found.id for found in detections] == ["1", "2"]
     classes = [[(one.hypothesis.class_id, one.hypothesis.score) for one in found.results] for found in detections]
     assert classes == [[("fixture", 0.75), ("object", 0.25)], [("observed_only", 1), ("object", 1), ("fixture", 0)]]
@@ -108,7 +98,7 @@ def test_objects_have_ids_kinds_boxes_and_poses():
 
 
 def test_the_markers_begin_with_the_order_to_forget_the_others():
-    markers = told(room()).last(MARKERS_TOPIC).markers
+    markers = told(room()).last(publish_sink.MARKERS_TOPIC).markers
     assert markers[0].action == 3
     assert [(m.ns, m.id, m.type) for m in markers[1:]] == [
         ("objects", 1, 1),
@@ -120,8 +110,11 @@ def test_the_markers_begin_with_the_order_to_forget_the_others():
 
 def test_the_costmap_starts_with_the_observed_and_sends_changes():
     link = told(snapshot(), room())
-    assert [name for name, _ in link.sent if name in (MAP_TOPIC, UPDATES_TOPIC)] == [MAP_TOPIC, UPDATES_TOPIC]
-    grid, update = link.last(MAP_TOPIC), link.last(UPDATES_TOPIC)
+    assert [name for name, _ in link.sent if name in (publish_sink.MAP_TOPIC, publish_sink.UPDATES_TOPIC)] == [
+        publish_sink.MAP_TOPIC,
+        publish_sink.UPDATES_TOPIC,
+    ]
+    grid, update = link.last(publish_sink.MAP_TOPIC), link.last(publish_sink.UPDATES_TOPIC)
     states = np.array(grid.data).reshape(grid.info.height, grid.info.width)
     window = states[update.y : update.y + update.height, update.x : update.x + update.width]
     window[:] = np.array(update.data).reshape(update.height, update.width)
@@ -134,7 +127,7 @@ def test_map_from_odom_is_the_identity_until_a_placement():
     moved = np.eye(4)
     moved[:2, 3] = 1.0, -2.0
     for pose in (np.eye(4), moved):
-        (found,) = told(snapshot(world_from_submap=pose)).last(TF_TOPIC).transforms
+        (found,) = told(snapshot(world_from_submap=pose)).last(publish_sink.TF_TOPIC).transforms
         assert (found.header.frame_id, found.child_frame_id) == ("map", "odom")
         assert [found.transform.translation.x, found.transform.translation.y] == pose[:2, 3].tolist()
         assert found.transform.rotation.w == 1.0
@@ -142,10 +135,10 @@ def test_map_from_odom_is_the_identity_until_a_placement():
 
 def asked(goal, of=None):
     link = Link()
-    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    sink = publish_sink.PublishSink(ROBOT, link, odom_frame="odom")
     if of is not None:
         sink.show(report(of))
-    link.ears[GOAL_TOPIC](goal)
+    link.ears[publish_sink.GOAL_TOPIC](goal)
     eventually(lambda: sum(sink.counts()["goals"].values()) == 1)
     sink.close()
     return link, sink.counts()["goals"]
@@ -154,7 +147,7 @@ def asked(goal, of=None):
 def test_a_goal_gets_a_path_around_what_was_only_observed():
     link, fates = asked(goal_message(0, np.array([5.5, 1.0])), room())
     assert fates == {"answered": 1, "no_path": 0, "refused": 0, "dropped": 0}
-    points = np.array([[p.pose.position.x, p.pose.position.y] for p in link.last(PLAN_TOPIC).poses])
+    points = np.array([[p.pose.position.x, p.pose.position.y] for p in link.last(publish_sink.PLAN_TOPIC).poses])
     assert points[0].tolist() == list(START)
     assert points[-1].tolist() == [5.5, 1.0]
     ways = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(points)])
@@ -163,14 +156,14 @@ def test_a_goal_gets_a_path_around_what_was_only_observed():
 
 def test_a_goal_is_planned_in_the_map_of_that_moment():
     link = Link()
-    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    sink = publish_sink.PublishSink(ROBOT, link, odom_frame="odom")
     # The grid of the planner follows once a second: the second snapshot is not in it before it is asked for.
     for of in (snapshot(tracked(1, table())), room()):
         sink.show(report(of))
-    link.ears[GOAL_TOPIC](goal_message(0, np.array([4.5, 1.0])))
+    link.ears[publish_sink.GOAL_TOPIC](goal_message(0, np.array([4.5, 1.0])))
     sink.close()
     assert sink.counts()["goals"]["no_path"] == 1
-    assert link.last(PLAN_TOPIC).poses == []
+    assert link.last(publish_sink.PLAN_TOPIC).poses == []
 
 
 def test_a_goal_in_the_odometry_frame_is_moved_into_the_map():
@@ -178,7 +171,7 @@ def test_a_goal_in_the_odometry_frame_is_moved_into_the_map():
     moved[0, 3] = 0.5
     link, fates = asked(goal_message(0, np.array([1.0, 3.0]), "odom"), snapshot(world_from_submap=moved))
     assert fates["answered"] == 1
-    last = link.last(PLAN_TOPIC).poses[-1].pose.position
+    last = link.last(publish_sink.PLAN_TOPIC).poses[-1].pose.position
     assert (last.x, last.y) == (1.5, 3.0)
 
 
@@ -196,16 +189,16 @@ def test_a_bad_goal_is_refused_in_a_line(goal, of, text, caplog):
     link, fates = asked(goal, of)
     assert fates["refused"] == 1
     assert text in caplog.text
-    assert PLAN_TOPIC not in [name for name, _ in link.sent]
+    assert publish_sink.PLAN_TOPIC not in [name for name, _ in link.sent]
 
 
 def test_of_too_many_goals_the_last_are_answered():
     link = Link()
-    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    sink = publish_sink.PublishSink(ROBOT, link, odom_frame="odom")
     sink.show(report(room()))
     with sink._lock:
         for _ in range(20):
-            link.ears[GOAL_TOPIC](goal_message(0, np.array([5.5, 1.0])))
+            link.ears[publish_sink.GOAL_TOPIC](goal_message(0, np.array([5.5, 1.0])))
     eventually(lambda: sum(sink.counts()["goals"].values()) == 20)
     sink.close()
     fates = sink.counts()["goals"]
@@ -217,7 +210,7 @@ def test_a_standing_link_holds_nobody_up_and_catches_up():
     link = Link()
     link.gate.clear()
     overtaken = []
-    outbox = Outbox(link, overtaken.append, most_bytes=1000)
+    outbox = publish_sink.Outbox(link, overtaken.append, most_bytes=1000)
     for i in range(10):
         outbox.put("/map", bytes([i]) * 300)
     link.gate.set()
@@ -230,23 +223,23 @@ def test_a_standing_link_holds_nobody_up_and_catches_up():
 
 def test_after_a_dropped_window_the_next_costmap_is_whole():
     link = Link()
-    sink = PublishSink(ROBOT, link, odom_frame="odom", parts=("costmap",))
+    sink = publish_sink.PublishSink(ROBOT, link, odom_frame="odom", parts=("costmap",))
     sink.show(report(snapshot()))
-    sink._overtaken(UPDATES_TOPIC)
+    sink._overtaken(publish_sink.UPDATES_TOPIC)
     sink.show(report(room()))
     sink.close()
-    assert [name for name, _ in link.sent] == [MAP_TOPIC, MAP_TOPIC]
+    assert [name for name, _ in link.sent] == [publish_sink.MAP_TOPIC, publish_sink.MAP_TOPIC]
 
 
 def test_where_nobody_is_there_messages_are_counted_as_unheard():
     link = Link(is_there=False)
-    sink = PublishSink(ROBOT, link, odom_frame="", parts=("tf",))
+    sink = publish_sink.PublishSink(ROBOT, link, odom_frame="", parts=("tf",))
     sink.show(report(snapshot()))
     sink.close()
-    assert sink.counts()["topics"] == {TF_TOPIC: {"unheard": 1}}
-    assert link.last(TF_TOPIC).transforms[0].child_frame_id == "odom"
+    assert sink.counts()["topics"] == {publish_sink.TF_TOPIC: {"unheard": 1}}
+    assert link.last(publish_sink.TF_TOPIC).transforms[0].child_frame_id == "odom"
 
 
 def test_an_unknown_part_is_refused():
     with pytest.raises(InputError, match="found lidar to publish, expected some of costmap"):
-        PublishSink(ROBOT, Link(), odom_frame="odom", parts=("lidar",))
+        publish_sink.PublishSink(ROBOT, Link(), odom_frame="odom", parts=("lidar",))

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
-from hickory_stream.errors import ConfigError, ViewerError
+from hickory_stream.errors import ViewerError
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.mapping.entities.rigid_motion import moved_object
@@ -277,14 +277,17 @@ def test_a_file_at_its_cap_gets_light_data_only(tmp_path, caplog):
     assert [r.levelname for r in caplog.records if "cap" in r.message] == ["WARNING"]
 
 
-def test_every_nth_colour_frame_is_kept_and_every_keyframe(tmp_path):
-    rows = rows_of(play(tmp_path, RerunConfig(color_every=3), num_frames=9))
-    assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 3, 4, 6, 8]
-
-
-def test_keyframes_without_compressed_colour_are_encoded(tmp_path):
-    rows = rows_of(play(tmp_path, num_frames=8, change=lambda report: replace(report, color_bytes=None)))
-    assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 4]
+@pytest.mark.parametrize(
+    ("config", "change", "frames"),
+    [
+        (RerunConfig(color_every=3), {}, [0, 3, 4, 6, 8]),
+        (RerunConfig(), {"change": lambda report: replace(report, color_bytes=None)}, [0, 4, 8]),
+    ],
+    ids=["every third one", "encoded here"],
+)
+def test_colour_of_every_nth_frame_and_of_keyframes_is_kept(tmp_path, config, change, frames):
+    rows = rows_of(play(tmp_path, config, num_frames=9, **change))
+    assert [row["frame"] for row in rows["/world/camera/color"]] == frames
 
 
 def test_a_missing_mesh_is_a_warning_and_other_layers_show(tmp_path, caplog):
@@ -318,12 +321,6 @@ def test_a_sink_without_file_and_viewer_does_nothing(tmp_path):
 def test_an_unwritable_file_is_refused_before_anything_runs(tmp_path):
     with pytest.raises(ViewerError, match="missing"):
         RerunSink(RerunConfig(), tmp_path, tmp_path / "missing" / "run.rrd", NO_VIEWER)
-
-
-@pytest.mark.parametrize("field", [{"color_every": 0}, {"jpeg_quality": 101}, {"rrd_cap_mb": 0.0}])
-def test_a_configuration_out_of_range_is_refused(field):
-    with pytest.raises(ConfigError, match=next(iter(field))):
-        RerunConfig(**field)
 
 
 def test_importing_the_sink_does_not_import_rerun():

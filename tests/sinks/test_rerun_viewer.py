@@ -16,20 +16,11 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 from hickory_stream.errors import ViewerError
 from hickory_stream.geometry.display import color_of_id
+from hickory_stream.sinks.rerun import viewer
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.items import LogItem, Moment, Span, Weight
 from hickory_stream.sinks.rerun.live import LiveQueue
 from hickory_stream.sinks.rerun.sink import RerunSink
-from hickory_stream.sinks.rerun.viewer import (
-    ViewerChoice,
-    ViewerKind,
-    free_port,
-    host_and_port,
-    parse_viewer,
-    start_viewer,
-    viewer_binary,
-    viewer_environment,
-)
 from tests.sinks.report_fixtures import reports
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,14 +28,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("kind", ["none", "spawn", "web"])
 def test_a_viewer_is_chosen_by_its_name(kind):
-    assert parse_viewer(kind) == ViewerChoice(kind=ViewerKind(kind))
+    assert viewer.parse_viewer(kind) == viewer.ViewerChoice(kind=viewer.ViewerKind(kind))
 
 
 @pytest.mark.parametrize("text", ["rerun+http://10.0.0.7:9001/proxy", "10.0.0.7:9001"])
 def test_a_running_viewer_is_named_by_url_or_host_and_port(text):
-    choice = parse_viewer(f"connect={text}")
-    assert choice.kind is ViewerKind.CONNECT
-    assert host_and_port(choice.url) == ("10.0.0.7", 9001)
+    choice = viewer.parse_viewer(f"connect={text}")
+    assert choice.kind is viewer.ViewerKind.CONNECT
+    assert viewer.host_and_port(choice.url) == ("10.0.0.7", 9001)
 
 
 @pytest.mark.parametrize(
@@ -52,23 +43,23 @@ def test_a_running_viewer_is_named_by_url_or_host_and_port(text):
 )
 def test_anything_else_is_refused_with_the_choices(text):
     with pytest.raises(ViewerError, match=r"rerun\+http://HOST:PORT|auto, none, spawn, web, or connect=URL"):
-        parse_viewer(text)
+        viewer.parse_viewer(text)
 
 
 def test_a_window_opens_only_where_there_is_a_screen(monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     for name in ("WAYLAND_DISPLAY", "DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert parse_viewer("auto").kind is ViewerKind.NONE
+    assert viewer.parse_viewer("auto").kind is viewer.ViewerKind.NONE
     with pytest.raises(ViewerError, match="--viewer web"):
-        start_viewer(parse_viewer("spawn"), bind="127.0.0.1", server_memory_limit="1MB")
+        viewer.start_viewer(viewer.parse_viewer("spawn"), bind="127.0.0.1", server_memory_limit="1MB")
     monkeypatch.setenv("DISPLAY", ":0")
-    assert parse_viewer("auto").kind is ViewerKind.SPAWN
+    assert viewer.parse_viewer("auto").kind is viewer.ViewerKind.SPAWN
 
 
 def test_an_address_that_is_not_ours_is_refused():
     with pytest.raises(ViewerError, match=r"192\.0\.2\.1"):
-        free_port(0, bind="192.0.2.1")
+        viewer.free_port(0, bind="192.0.2.1")
 
 
 @pytest.mark.parametrize("file", ["README.md", "tools/demo"])
@@ -92,7 +83,7 @@ def look(*arguments):
 
 
 def test_the_default_arrangement_is_drawn_without_complaint(tmp_path):
-    sink = RerunSink(RerunConfig(), tmp_path, tmp_path / "run.rrd", parse_viewer("none"))
+    sink = RerunSink(RerunConfig(), tmp_path, tmp_path / "run.rrd", viewer.parse_viewer("none"))
     for report in reports(17, tmp_path):
         sink.show(report)
     sink.close()
@@ -127,7 +118,7 @@ def quiet_home(tmp_path, monkeypatch):
     home.mkdir()
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
         monkeypatch.setenv(name, str(home))
-    subprocess.run([viewer_binary(), "analytics", "disable"], check=True, capture_output=True)
+    subprocess.run([viewer.viewer_binary(), "analytics", "disable"], check=True, capture_output=True)
     return home
 
 
@@ -193,7 +184,7 @@ def run_against(port, folder):
 
 @pytest.mark.parametrize("is_there", [True, False])
 def test_a_viewer_that_never_reads_or_is_missing_costs_drops(tmp_path, silent_server, is_there):
-    dropped, frames = run_against(silent_server if is_there else free_port(0), tmp_path)
+    dropped, frames = run_against(silent_server if is_there else viewer.free_port(0), tmp_path)
     assert dropped > 0
     assert frames == set(range(48))
 
@@ -202,9 +193,9 @@ class Receiver:
     """A real Rerun server that saves what it gets."""
 
     def __init__(self, port, path):
-        command = [viewer_binary(), "--save", str(path), "--bind", "127.0.0.1", "--port", str(port)]
+        command = [viewer.viewer_binary(), "--save", str(path), "--bind", "127.0.0.1", "--port", str(port)]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=viewer_environment()
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=viewer.viewer_environment()
         )
         self.path = path
 
@@ -222,8 +213,8 @@ class Receiver:
 
 
 def test_a_late_or_returning_viewer_gets_earlier_objects(tmp_path, quiet_home):
-    port = free_port(0)
-    sink = RerunSink(RerunConfig(live_queue_length=8), tmp_path, None, parse_viewer(f"connect=127.0.0.1:{port}"))
+    port = viewer.free_port(0)
+    sink = RerunSink(RerunConfig(live_queue_length=8), tmp_path, None, viewer.parse_viewer(f"connect=127.0.0.1:{port}"))
     run = reports(24, tmp_path, width=160)
     for _ in range(20):
         sink.show(next(run))
@@ -252,9 +243,9 @@ def test_a_late_or_returning_viewer_gets_earlier_objects(tmp_path, quiet_home):
 def test_the_web_viewer_is_on_loopback_and_ends_with_the_sink(tmp_path, quiet_home):
     import psutil
 
-    sink = RerunSink(RerunConfig(), tmp_path, None, parse_viewer("web"))
+    sink = RerunSink(RerunConfig(), tmp_path, None, viewer.parse_viewer("web"))
     process = psutil.Process(sink._viewer.process.pid)
-    ports = {host_and_port(sink.web_url)[1], host_and_port(sink._viewer.url)[1]}
+    ports = {viewer.host_and_port(sink.web_url)[1], viewer.host_and_port(sink._viewer.url)[1]}
 
     def listening():
         return [c.laddr for c in process.net_connections(kind="tcp") if c.status == psutil.CONN_LISTEN]

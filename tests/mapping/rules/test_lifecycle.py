@@ -13,18 +13,8 @@ from hickory_stream.mapping.entities.submaps import first_submap, with_seen
 from hickory_stream.mapping.entities.track import ShapeState
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.map_state import MapState
-from hickory_stream.mapping.rules.lifecycle import (
-    LIFE_CYCLE,
-    End,
-    Guard,
-    LifecycleConfig,
-    LifeEvent,
-    Other,
-    TrackEffect,
-    first_phase,
-    life_cycle_table,
-    transition,
-)
+from hickory_stream.mapping.rules import lifecycle
+from hickory_stream.mapping.rules.lifecycle import LIFE_CYCLE
 from hickory_stream.mapping.rules.merging import merge
 from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, TrackTransition, end_tracks, is_seen_through
 from hickory_stream.records import Phase
@@ -32,7 +22,7 @@ from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, spac
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
-    lifecycle=LifecycleConfig(confirm_s=3.0, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_s=4.0),
+    lifecycle=lifecycle.LifecycleConfig(confirm_s=3.0, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_s=4.0),
 )
 SPACE_M = CONFIG.voxels.space_m
 TENTATIVE, ACTIVE, DORMANT, ARCHIVED = Phase
@@ -89,7 +79,7 @@ class Scenario:
     ends: Phase | str
 
 
-JUDGED, AGED = LifeEvent.JUDGED, LifeEvent.AGED
+JUDGED, AGED = lifecycle.LifeEvent.JUDGED, lifecycle.LifeEvent.AGED
 SCENARIOS = [
     Scenario(row=3, make=lambda: there(ACTIVE, unseen_s=1.0), ends=ACTIVE),
     Scenario(row=4, make=lambda: there(TENTATIVE, seen_through_s=4.0), ends="looked through"),
@@ -113,7 +103,7 @@ SCENARIOS = [
 NOTHING = [
     (TENTATIVE, AGED, lambda: there(TENTATIVE, observed_s=2.9, unseen_s=8.0)),
     (ACTIVE, JUDGED, lambda: there(ACTIVE)),
-    (ACTIVE, LifeEvent.SOURCE_ENDED, lambda: there(ACTIVE)),
+    (ACTIVE, lifecycle.LifeEvent.SOURCE_ENDED, lambda: there(ACTIVE)),
 ]
 
 
@@ -125,7 +115,7 @@ def told(row):
 def test_a_row_applies_where_its_guards_hold(scenario):
     state, row = scenario.make(), LIFE_CYCLE[scenario.row]
     case, before = case_of(state), state.tracks[1]
-    assert transition(before.phase, row.event, lambda guard: GUARDS[guard](case)) is row
+    assert lifecycle.transition(before.phase, row.event, lambda guard: GUARDS[guard](case)) is row
     # What the guards have found is found anew.
     effects = case_of(state).happens(row.event)
     after = state.tracks.get(1)
@@ -136,7 +126,7 @@ def test_a_row_applies_where_its_guards_hold(scenario):
         assert after.shape_state.open_ticket == before.shape_state.open_ticket
         is_change = after.phase is not before.phase
         assert [d.kind for d in state.decisions if d.kind == "phase"] == ["phase"] * is_change
-        doubts_ns = SECOND_NS * (TrackEffect.DOUBT in row.effects)
+        doubts_ns = SECOND_NS * (lifecycle.TrackEffect.DOUBT in row.effects)
         assert (after.seen_through_ns, after.observed_ns) == (
             before.seen_through_ns + doubts_ns,
             before.observed_ns - doubts_ns,
@@ -145,16 +135,16 @@ def test_a_row_applies_where_its_guards_hold(scenario):
     assert after is None
     assert effects == ([] if before.phase is TENTATIVE else [CancelShape(ticket=5)])
     (decision,) = state.decisions
-    if row.to is End.MERGED:
+    if row.to is lifecycle.End.MERGED:
         assert state.tracks[2].merged_ids == (1,)
         assert (decision.kind, decision.object_id, decision.other_id) == ("merge", 2, 1)
     else:
-        assert row.to is End.DROPPED
+        assert row.to is lifecycle.End.DROPPED
         assert (decision.kind, decision.cause) == ("drop", scenario.ends)
 
 
 def test_every_row_a_case_can_meet_has_a_scenario():
-    others = {LifeEvent.BORN, LifeEvent.SPLIT_OFF, LifeEvent.TAKES_IN}
+    others = {lifecycle.LifeEvent.BORN, lifecycle.LifeEvent.SPLIT_OFF, lifecycle.LifeEvent.TAKES_IN}
     assert {s.row for s in SCENARIOS} == {i for i, row in enumerate(LIFE_CYCLE) if row.event not in others}
 
 
@@ -168,32 +158,35 @@ def test_where_no_row_applies_nothing_changes(phase, event, make):
     assert state.decisions == []
 
 
-@pytest.mark.parametrize("event", [LifeEvent.BORN, LifeEvent.SPLIT_OFF])
+@pytest.mark.parametrize("event", [lifecycle.LifeEvent.BORN, lifecycle.LifeEvent.SPLIT_OFF])
 def test_a_new_track_is_tentative(event):
-    assert first_phase(event) is TENTATIVE
+    assert lifecycle.first_phase(event) is TENTATIVE
 
 
 @pytest.mark.parametrize(("kept", "gone", "after"), [(3, 4, ARCHIVED), (3, 3, ACTIVE), (4, 3, ACTIVE)])
 def test_a_track_takes_over_the_phase_of_the_more_seen_one(kept, gone, after):
     other = track(2, BOX, sightings=gone, phase=ARCHIVED)
     assert merge(track(1, BOX, sightings=kept), other, VOXEL_M).phase is after
-    assert {row.to for row in LIFE_CYCLE if row.event is LifeEvent.TAKES_IN} == {Other.ITS_PHASE}
+    assert {row.to for row in LIFE_CYCLE if row.event is lifecycle.LifeEvent.TAKES_IN} == {lifecycle.Other.ITS_PHASE}
 
 
 def test_all_that_the_table_names_is_carried_out():
-    assert set(GUARDS) | {Guard.OTHER_SEEN_MORE} == set(Guard)
-    assert set(EFFECTS) == set(TrackEffect)
-    assert {guard for row in LIFE_CYCLE for guard in row.guards} == set(Guard)
-    assert {effect for row in LIFE_CYCLE for effect in row.effects} == set(TrackEffect)
-    assert {row.event for row in LIFE_CYCLE} == set(LifeEvent)
+    assert set(GUARDS) | {lifecycle.Guard.OTHER_SEEN_MORE} == set(lifecycle.Guard)
+    assert set(EFFECTS) == set(lifecycle.TrackEffect)
+    assert {guard for row in LIFE_CYCLE for guard in row.guards} == set(lifecycle.Guard)
+    assert {effect for row in LIFE_CYCLE for effect in row.effects} == set(lifecycle.TrackEffect)
+    assert {row.event for row in LIFE_CYCLE} == set(lifecycle.LifeEvent)
 
 
 def test_a_row_ends_a_track_by_one_effect_and_a_drop_has_a_cause():
     for row in LIFE_CYCLE:
-        ends = [effect for effect in row.effects if effect in (TrackEffect.DROP, TrackEffect.MERGE)]
-        expected = {End.DROPPED: [TrackEffect.DROP], End.MERGED: [TrackEffect.MERGE]}
-        assert ends == (expected[row.to] if isinstance(row.to, End) else [])
-        assert (row.cause is not None) == (row.to is End.DROPPED)
+        ends = [effect for effect in row.effects if effect in (lifecycle.TrackEffect.DROP, lifecycle.TrackEffect.MERGE)]
+        expected = {
+            lifecycle.End.DROPPED: [lifecycle.TrackEffect.DROP],
+            lifecycle.End.MERGED: [lifecycle.TrackEffect.MERGE],
+        }
+        assert ends == (expected[row.to] if isinstance(row.to, lifecycle.End) else [])
+        assert (row.cause is not None) == (row.to is lifecycle.End.DROPPED)
 
 
 def test_no_row_is_hidden_by_one_before_it():
@@ -230,7 +223,7 @@ def test_without_final_tracks_nothing_is_merged_for_support():
 
 
 def test_the_table_is_printed_in_the_documentation():
-    table = life_cycle_table()
+    table = lifecycle.life_cycle_table()
     assert len(table.splitlines()) == len(LIFE_CYCLE) + 2
     assert table in PAGE.read_text(encoding="utf-8"), "run tools/write_life_cycle"
 

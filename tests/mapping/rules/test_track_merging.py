@@ -12,16 +12,8 @@ from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.entities.track import with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import ViewConfig
+from hickory_stream.mapping.rules import merging
 from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
-from hickory_stream.mapping.rules.merging import (
-    MergeConfig,
-    VoteBook,
-    Votes,
-    find_pair,
-    merge,
-    pairs_that_meet,
-    points_on_others,
-)
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import (
@@ -37,7 +29,7 @@ from tests.mapping.mapping_fixtures import (
     view,
 )
 
-CONFIG = MergeConfig()
+CONFIG = merging.MergeConfig()
 VIEWS = ViewConfig()
 
 pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair[0] != pair[1])
@@ -45,7 +37,7 @@ pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair
 
 @st.composite
 def vote_books(draw):
-    book = VoteBook()
+    book = merging.VoteBook()
     for pair in draw(st.lists(pairs, max_size=12)):
         book = book.plus([pair], together_ns=draw(st.integers(0, 3)), apart_ns=draw(st.integers(0, 3)))
     return book
@@ -57,7 +49,7 @@ def cloud(points):
 
 def found(book, *tracks):
     known = TrackTable({t.id: t for t in tracks})
-    pair = find_pair(known, known, book, graph_of(known), 0.01, CONFIG)
+    pair = merging.find_pair(known, known, book, graph_of(known), 0.01, CONFIG)
     return pair[:2] if pair is not None else None
 
 
@@ -73,7 +65,7 @@ def test_a_vote_counts_for_its_pair_alone(book, pair, together, apart):
         for b in range(a + 1, 6):
             more = (together, apart) if {a, b} == set(pair) else (0, 0)
             before = book.of(a, b)
-            assert after.of(a, b) == Votes(before.together_ns + more[0], before.apart_ns + more[1])
+            assert after.of(a, b) == merging.Votes(before.together_ns + more[0], before.apart_ns + more[1])
 
 
 @given(vote_books(), pairs)
@@ -83,13 +75,13 @@ def test_a_merge_takes_votes_over_and_counts_shared_looks_once(book, pair):
     for other in set(range(1, 6)) - {kept, gone}:
         mine, theirs = book.of(kept, other), book.of(gone, other)
         together_ns = max(mine.together_ns, theirs.together_ns)
-        assert after.of(kept, other) == Votes(together_ns, mine.apart_ns + theirs.apart_ns)
-    assert after.of(kept, gone) == Votes()
+        assert after.of(kept, other) == merging.Votes(together_ns, mine.apart_ns + theirs.apart_ns)
+    assert after.of(kept, gone) == merging.Votes()
     assert not any(gone in known for known in after.votes)
 
 
 def test_one_keyframe_alone_never_merges_many_fragments():
-    book, ids = VoteBook(), range(1, 9)
+    book, ids = merging.VoteBook(), range(1, 9)
     book = book.plus(list(combinations(ids, 2)), together_ns=SECOND_NS // 2)
     for gone in ids[:0:-1]:
         assert max(book.of(1, other).together_ns for other in ids) < 1e9 * CONFIG.min_together_s
@@ -105,17 +97,17 @@ def test_a_dropped_track_leaves_no_votes_and_takes_no_others(book, gone):
 
 def test_equal_tracks_and_a_piece_on_a_larger_one_are_one():
     points = box_surface((0, 0, 0.1))
-    assert found(VoteBook(), track(8, points), track(3, points)) == (3, 8)
+    assert found(merging.VoteBook(), track(8, points), track(3, points)) == (3, 8)
     table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
-    assert found(VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
+    assert found(merging.VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
 
 
 def test_tracks_apart_and_a_mug_on_a_table_are_two():
     box = track(1, box_surface((0, 0, 0.1)))
-    assert found(VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
-    assert found(VoteBook(), box, track(2, box_surface((0.23, 0, 0.1)))) is None
+    assert found(merging.VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
+    assert found(merging.VoteBook(), box, track(2, box_surface((0.23, 0, 0.1)))) is None
     table, mug = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((0.2, 0.1, 0.775), (0.08, 0.08, 0.1))
-    assert found(VoteBook(), track(1, table), track(2, mug)) is None
+    assert found(merging.VoteBook(), track(1, table), track(2, mug)) is None
 
 
 def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
@@ -123,8 +115,8 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
     chair = track(1, np.concatenate([seat, back]))
     mug = track(2, box_surface((0.13, 0, 0.65), (0.08, 0.08, 0.1)))
     table = track(3, box_surface((-0.3, 0, 0.575), (0.96, 1.0, 0.04)))
-    assert found(VoteBook(), chair, mug) == (1, 2)
-    assert found(VoteBook(), chair, mug, table) is None
+    assert found(merging.VoteBook(), chair, mug) == (1, 2)
+    assert found(merging.VoteBook(), chair, mug, table) is None
 
 
 @pytest.mark.parametrize(
@@ -140,12 +132,14 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
     ],
 )
 def test_pieces_merge_when_seen_as_one_more_often_than_apart(together_s, apart_s, verdict):
-    book = VoteBook().plus([(1, 2)], together_ns=round(together_s * SECOND_NS), apart_ns=round(apart_s * SECOND_NS))
+    book = merging.VoteBook().plus(
+        [(1, 2)], together_ns=round(together_s * SECOND_NS), apart_ns=round(apart_s * SECOND_NS)
+    )
     assert found(book, *(track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1))))) == verdict
 
 
 def test_votes_of_things_that_do_not_even_touch_weld_nothing():
-    book = VoteBook().plus([(1, 2)], together_ns=50 * SECOND_NS)
+    book = merging.VoteBook().plus([(1, 2)], together_ns=50 * SECOND_NS)
     assert found(book, track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.6, 0, 0.1)))) is None
 
 
@@ -157,20 +151,20 @@ def test_a_far_view_is_one_with_a_near_one_within_its_noise(sigma_m, apart_ns, p
         far.astype(np.float32), np.zeros(far.shape, np.uint8), VOXEL_M, np.full(len(far), sigma_m**-2, np.float32)
     )
     blurred = with_cloud(track(2, box_surface((0, 0, 0.1))), seen, 3, VOXEL_M)
-    assert found(VoteBook().plus([(1, 2)], apart_ns=apart_ns), track(1, near), blurred) == pair
+    assert found(merging.VoteBook().plus([(1, 2)], apart_ns=apart_ns), track(1, near), blurred) == pair
 
 
 def test_only_pairs_with_a_changed_track_are_looked_at():
     points = box_surface((0, 0, 0.1))
     known = TrackTable({1: track(1, points), 2: track(2, points), 3: track(3, box_surface((2, 0, 0.1)))})
-    assert find_pair(known, [3], VoteBook(), graph_of(known), 0.01, CONFIG) is None
-    assert find_pair(known, [2, 99], VoteBook(), graph_of(known), 0.01, CONFIG) is not None
+    assert merging.find_pair(known, [3], merging.VoteBook(), graph_of(known), 0.01, CONFIG) is None
+    assert merging.find_pair(known, [2, 99], merging.VoteBook(), graph_of(known), 0.01, CONFIG) is not None
 
 
 def test_points_on_another_track_count_and_a_cover_is_named():
     left, right = box_surface((0, 0, 0.1)), box_surface((0.24, 0, 0.1))
     seen = cloud(np.concatenate([left, right]))
-    foreign, covered = points_on_others(seen, track(1, left), [track(2, right)])
+    foreign, covered = merging.points_on_others(seen, track(1, left), [track(2, right)])
     assert covered == [2]
     assert (seen.points[foreign][:, 0] > 0.12).all()
     assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
@@ -178,17 +172,17 @@ def test_points_on_another_track_count_and_a_cover_is_named():
 
 def test_nothing_is_foreign_on_the_own_track_or_away_from_others():
     points = box_surface((0, 0, 0.1))
-    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, points)])
+    foreign, covered = merging.points_on_others(cloud(points), track(1, points), [track(2, points)])
     assert not foreign.any()
     assert covered == [2]
-    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
+    foreign, covered = merging.points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
     assert not foreign.any()
     assert covered == []
 
 
 def test_a_track_that_is_only_brushed_is_not_covered():
     vase, table = box_surface((0, 0, 0.2), (0.08, 0.08, 0.4)), box_surface((0, 0, -0.02), (1.2, 0.8, 0.04))
-    _, covered = points_on_others(cloud(vase), track(1, vase), [track(2, table)])
+    _, covered = merging.points_on_others(cloud(vase), track(1, vase), [track(2, table)])
     # The vase's lowest cells are beside the table's: less than a third of it.
     assert covered == []
 
@@ -208,7 +202,7 @@ def two_tracks():
 
 def test_a_merged_track_has_what_both_have_seen_and_the_shape():
     kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M)
+    one = merging.merge(kept, gone, VOXEL_M)
     assert (one.id, one.merged_ids) == (1, (5, 6, 7))
     assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
     assert (one.seen_clock_ns, one.seen_through_ns) == (6, 1)
@@ -221,13 +215,13 @@ def test_a_merged_track_has_what_both_have_seen_and_the_shape():
     assert one.shape is gone.shape
     assert one.phase is Phase.DORMANT
     mine = shape(9)
-    assert merge(replace(kept, shape=mine), gone, VOXEL_M).shape is mine
+    assert merging.merge(replace(kept, shape=mine), gone, VOXEL_M).shape is mine
 
 
 def test_observations_meet_within_a_hands_width():
     bounds = [bounds_of(box_surface((x, 0, 0), (0.2, 0.2, 0.2))) for x in (0.0, 0.3, 0.8)]
-    assert pairs_that_meet(bounds, [7, 4, 5]) == {(4, 7)}
-    assert pairs_that_meet([], []) == set()
+    assert merging.pairs_that_meet(bounds, [7, 4, 5]) == {(4, 7)}
+    assert merging.pairs_that_meet([], []) == set()
 
 
 SPLIT = TrackSplitConfig()

@@ -3,15 +3,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.models.library import (
-    MANIFEST,
-    ModelEntry,
-    add_model,
-    find_model,
-    models_folder,
-    read_manifest,
-    sha256_of,
-)
+from hickory_stream.perception.models import library
 from hickory_stream.perception.models.network import Network, NetworkConfig, available_providers
 from tests.perception import small_graphs
 
@@ -22,28 +14,28 @@ def dino(tmp_path):
 
 
 def entry_of(file, **changes):
-    known = {"name": "small", "kind": "dinov2", "file": "small.onnx", "sha256": sha256_of(file)}
-    return ModelEntry(**{**known, "source": "a test", "licence": "CC0-1.0", "labels": ("a", "b"), **changes})
+    known = {"name": "small", "kind": "dinov2", "file": "small.onnx", "sha256": library.sha256_of(file)}
+    return library.ModelEntry(**{**known, "source": "a test", "licence": "CC0-1.0", "labels": ("a", "b"), **changes})
 
 
 @pytest.fixture
 def added(tmp_path, dino):
     """The folder and the entry of a model that was added."""
-    add_model(tmp_path / "models", dino, entry_of(dino))
+    library.add_model(tmp_path / "models", dino, entry_of(dino))
     return tmp_path / "models", entry_of(dino)
 
 
 def test_what_is_added_is_found_with_all_that_is_known_of_it(added):
     folder, entry = added
-    assert read_manifest(folder) == {"small": entry}
-    assert find_model("small", "dinov2", folder=folder) == (entry, folder / "small.onnx")
+    assert library.read_manifest(folder) == {"small": entry}
+    assert library.find_model("small", "dinov2", folder=folder) == (entry, folder / "small.onnx")
 
 
 def test_the_folder_is_named_by_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("HICKORY_MODELS", str(tmp_path))
-    assert models_folder() == tmp_path
+    assert library.models_folder() == tmp_path
     monkeypatch.delenv("HICKORY_MODELS")
-    assert models_folder().parts[-2:] == ("hickory-stream", "models")
+    assert library.models_folder().parts[-2:] == ("hickory-stream", "models")
 
 
 def test_a_missing_model_is_answered_with_how_to_get_it(tmp_path):
@@ -51,34 +43,34 @@ def test_a_missing_model_is_answered_with_how_to_get_it(tmp_path):
         ModelError,
         match=r"no model fastsam-s in .*fetch it with .*models get fastsam-s.*models add fastsam-s.onnx --kind fastsam",
     ):
-        find_model("fastsam-s", "fastsam", folder=tmp_path)
+        library.find_model("fastsam-s", "fastsam", folder=tmp_path)
 
 
 def test_a_file_without_a_manifest_is_not_believed(tmp_path, dino):
     with pytest.raises(ModelError, match=r"no entry in manifest\.json; make one with `hickory-stream models add"):
-        find_model("small", "dinov2", folder=tmp_path)
+        library.find_model("small", "dinov2", folder=tmp_path)
 
 
 def test_a_file_that_was_changed_is_refused_with_both_hashes(added, dino):
     folder, entry = added
     (folder / "small.onnx").write_bytes(dino.read_bytes() + b"x")
     with pytest.raises(ModelError, match=rf"has sha256 [0-9a-f]{{64}}, manifest\.json says {entry.sha256}"):
-        find_model("small", "dinov2", folder=folder)
+        library.find_model("small", "dinov2", folder=folder)
 
 
 def test_a_model_of_another_kind_or_without_its_file_is_refused(added):
     folder, _ = added
     with pytest.raises(ModelError, match="of kind dinov2, expected fastsam"):
-        find_model("small", "fastsam", folder=folder)
+        library.find_model("small", "fastsam", folder=folder)
     (folder / "small.onnx").unlink()
     with pytest.raises(ModelError, match="is missing, though"):
-        find_model("small", "dinov2", folder=folder)
+        library.find_model("small", "dinov2", folder=folder)
 
 
 def test_a_file_of_another_model_is_not_replaced(added, dino):
     folder, _ = added
     with pytest.raises(ModelError, match="belongs to the model small"):
-        add_model(folder, dino, entry_of(dino, name="other"))
+        library.add_model(folder, dino, entry_of(dino, name="other"))
 
 
 @pytest.mark.parametrize(
@@ -94,14 +86,14 @@ def test_a_file_of_another_model_is_not_replaced(added, dino):
     ],
 )
 def test_a_manifest_that_is_none_is_refused_by_its_path(tmp_path, text):
-    (tmp_path / MANIFEST).write_text(text)
+    (tmp_path / library.MANIFEST).write_text(text)
     with pytest.raises(ModelError, match=r"manifest\.json"):
-        read_manifest(tmp_path)
+        library.read_manifest(tmp_path)
 
 
 def test_a_home_that_is_no_folder_holds_no_models(tmp_path):
     (tmp_path / "home").write_text("")
-    assert read_manifest(tmp_path / "home" / "models") == {}
+    assert library.read_manifest(tmp_path / "home" / "models") == {}
 
 
 CPU = NetworkConfig(provider="cpu")

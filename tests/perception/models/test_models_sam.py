@@ -51,16 +51,15 @@ def test_masks_of_low_iou_or_stability_are_left_out(tmp_path):
     assert list(scores.values()) == [{0.95, 0.9, 0.5}, {0.95, 0.9}, {0.95}, {0.9, 0.5}]
 
 
-def test_of_masks_with_like_boxes_the_best_stays(tmp_path):
-    pair = small_graphs.sam_pair(tmp_path, radii=(4, 4.2, 4), ious=(0.9, 0.95, 0.92))
+@pytest.mark.parametrize(
+    ("radii", "ious", "kept"),
+    [((4, 4.2, 4), (0.9, 0.95, 0.92), [0.95]), ((5, 2, 3, 4), (0.99, 0.9, 0.9, 0.9), [0.9] * 3)],
+    ids=["the best of like boxes", "of four masks not the one for several prompts"],
+)
+def test_which_masks_of_a_prompt_stay(tmp_path, radii, ious, kept):
+    pair = small_graphs.sam_pair(tmp_path, radii=radii, ious=ious)
     masks, _ = sam(pair, points_per_side=1).masks(np.zeros((64, 64, 3), np.uint8))
-    assert [mask.score for mask in masks] == pytest.approx([0.95])
-
-
-def test_of_four_masks_the_one_for_several_prompts_is_left_out(tmp_path):
-    pair = small_graphs.sam_pair(tmp_path, radii=(5, 2, 3, 4), ious=(0.99, 0.9, 0.9, 0.9))
-    masks, _ = sam(pair, points_per_side=1).masks(np.zeros((64, 64, 3), np.uint8))
-    assert [mask.score for mask in masks] == pytest.approx([0.9] * 3)
+    assert [mask.score for mask in masks] == pytest.approx(kept)
 
 
 @pytest.mark.parametrize(

@@ -116,15 +116,11 @@ def test_mean_odds_and_shares_tell_what_is_one_from_what_is_two():
     assert found["large_odds_within"].tolist() == found["small_odds_far_within"].tolist() == [3.0, 3.0]
 
 
-def test_the_networks_favourite_partner_is_known_from_the_others():
+def test_the_networks_favourite_partner_and_things_are_known():
     found = said([[1, 2], [2, 3]])
     assert found["large_odds_below_best"].tolist() == [0.0, 7.0]
     assert found["small_odds_below_best"].tolist() == [0.0, 0.0]
-
-
-def test_of_things_and_of_what_is_none_the_network_tells_apart():
-    found = said([[2, 3]])
-    assert (found["large_thing_odds"].tolist(), found["small_thing_odds"].tolist()) == ([3.0], [-2.0])
+    assert (found["large_thing_odds"][1], found["small_thing_odds"][1]) == (3.0, -2.0)
 
 
 def test_what_the_network_does_not_say_is_nan_and_no_warning():
@@ -137,8 +133,5 @@ def test_what_the_network_does_not_say_is_nan_and_no_warning():
     nothing = odds_features(None, np.array([[1, 2], [1, 3]]), 4)
     assert tuple(nothing) == tuple(found) == ODDS_FEATURES
     assert all(np.isnan(values).all() and values.shape == (2,) for values in nothing.values())
-
-
-def test_of_no_pairs_nothing_is_said():
-    for odds in (None, fragment_odds(*columns())):
-        assert all(values.shape == (0,) for values in odds_features(odds, np.zeros((0, 2), np.int64), 4).values())
+    for some in (None, fragment_odds(*columns())):
+        assert all(values.shape == (0,) for values in odds_features(some, np.zeros((0, 2), np.int64), 4).values())
