@@ -24,15 +24,6 @@ def quadrics(draw):
     return quadric((draw(exponent), draw(exponent)), (draw(semi_axis), draw(semi_axis), draw(semi_axis)), pose)
 
 
-def one(exponents, semi_axes):
-    return quadric(exponents, semi_axes)
-
-
-def signed_volume(vertices, faces):
-    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
-
-
 @given(quadrics())
 def test_bounds_in_any_frame_hold_the_surface_and_touch_it(primitive):
     frame_from_world = from_rotation_translation(
@@ -81,16 +72,18 @@ def test_normals_are_of_unit_length_everywhere(primitive):
 
 @pytest.mark.parametrize("exponents", [(1.0, 1.0), (0.1, 0.1), (0.1, 1.0), (2.0, 2.0), (0.5, 1.5)])
 def test_volume_agrees_with_the_closed_mesh(exponents):
-    primitive = one(exponents, (0.7, 0.4, 0.2))
+    primitive = quadric(exponents, (0.7, 0.4, 0.2))
     vertices, faces = display_mesh(primitive, 0, 1e-4)
-    assert signed_volume(vertices, faces) == pytest.approx(superquadric.volumes_m3(primitive)[0], rel=0.01)
+    assert trimesh.Trimesh(vertices, faces).volume == pytest.approx(superquadric.volumes_m3(primitive)[0], rel=0.01)
 
 
 def test_volumes_and_values_of_known_solids_are_exact():
-    assert superquadric.volumes_m3(one((1.0, 1.0), (1.0, 2.0, 3.0)))[0] == pytest.approx(4 / 3 * np.pi * 6)
-    assert superquadric.volumes_m3(one((2.0, 2.0), (1.0, 1.0, 1.0)))[0] == pytest.approx(4 / 3)
+    assert superquadric.volumes_m3(quadric((1.0, 1.0), (1.0, 2.0, 3.0)))[0] == pytest.approx(4 / 3 * np.pi * 6)
+    assert superquadric.volumes_m3(quadric((2.0, 2.0), (1.0, 1.0, 1.0)))[0] == pytest.approx(4 / 3)
     points = np.array([[0.0, 0, 0], [0.5, 0, 0], [0, 0, 2.0], [3.0, 4.0, 0]])
-    assert superquadric.implicit_value(one((1.0, 1.0), (1.0, 1.0, 1.0)), 0, points) == pytest.approx([0, 0.25, 4, 25])
+    assert superquadric.implicit_value(quadric((1.0, 1.0), (1.0, 1.0, 1.0)), 0, points) == pytest.approx(
+        [0, 0.25, 4, 25]
+    )
 
 
 @given(quadrics())
@@ -321,10 +314,10 @@ def test_a_column_over_a_diamond_is_written_as_its_dual():
 
 
 def test_the_score_of_a_sphere_is_worked_out_by_hand():
-    def one(exponents, axes):
+    def quadric(exponents, axes):
         return quadric(exponents, axes)
 
-    a, b = one((1.0, 1.0), (1.0, 1.0, 1.0)), one((0.5, 0.8), (2.0, 1.0, 0.5))
+    a, b = quadric((1.0, 1.0), (1.0, 1.0, 1.0)), quadric((0.5, 0.8), (2.0, 1.0, 0.5))
     expected = np.exp(-0.7) * (0.5 + 1 + 0.5) / 3
     # For a sphere no other order of the axes is better than the one that the paper writes.
     assert shape_score(a, b) == pytest.approx(expected)

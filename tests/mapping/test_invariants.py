@@ -93,10 +93,6 @@ def pending_of_nobody(state):
     state.pending = PendingFeatures(frame_index=10, candidates={0: view}, object_ids=(1,))
 
 
-def one_submap_with_another_space(state):
-    submaps_with(state, first=state.submaps.open_id, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
-
-
 def join_with(state, far_id):
     far = replace(state.tracks[1], id=far_id)
     past = Past(votes={}, absorbed=(), joins=())
@@ -151,7 +147,10 @@ DAMAGE = [
     ("a track is elsewhere if and only if", lambda s: s.elsewhere.update(s.tracks)),
     ("a voxel is owned by only one closed submap", lambda s: submaps_with(s, owned=s.submaps.owned[::-1])),
     ("a voxel is owned by only one closed submap", lambda s: submaps_with(s, owners=s.submaps.owners + 9)),
-    ("if decisions are made against the open submap alone", one_submap_with_another_space),
+    (
+        "if decisions are made against the open submap alone",
+        lambda s: submaps_with(s, first=s.submaps.open_id, owned=s.submaps.owned[:0], owners=s.submaps.owners[:0]),
+    ),
     ("the voxels of an observed space are in order", lambda s: space_with(s, free=s.submaps.space.free[::-1])),
     ("the voxels of an observed space are in order", lambda s: space_with(s, free=s.submaps.space.surface)),
 ]

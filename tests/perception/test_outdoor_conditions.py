@@ -37,14 +37,6 @@ def view(*things, at=(0.6, 0.0, 0.0), start=(-2.4, -0.2, 1.4), noise=0.0015):
     return replace(frame, rgb=rgb, depth_m=depth.astype(np.float32)), shown
 
 
-def in_night(frame):
-    return replace(frame, rgb=np.zeros_like(frame.rgb))
-
-
-def over_exposed(frame):
-    return replace(frame, rgb=np.clip(frame.rgb * 2.2, 0, 255).astype(np.uint8))
-
-
 def with_hard_shadow(frame):
     y, x = np.indices(frame.depth_m.shape)
     dark = (x + y > 150) & (x + y < 260)
@@ -108,10 +100,14 @@ def masks_of(frame):
     return found, np.unique(found.instances[found.instances > 0]).size
 
 
-@pytest.mark.parametrize("light", [in_night, over_exposed, with_hard_shadow, in_rain])
-def test_light_and_rain_change_no_mask_of_a_thing(light):
+def with_light(share):
+    return lambda frame: replace(frame, rgb=np.clip(frame.rgb * share, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("changed", [with_light(0.0), with_light(2.2), with_hard_shadow, in_rain])
+def test_light_and_rain_change_no_mask_of_a_thing(changed):
     frame, shown = view(BOX)
-    found, count = masks_of(light(frame))
+    found, count = masks_of(changed(frame))
     assert count == 1
     assert best_iou(found.instances, shown == 1)[0] > 0.9
 

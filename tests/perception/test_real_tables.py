@@ -6,13 +6,6 @@ from players import open_source
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
 from tools.evaluation.masks.scores import total
 
-
-def box_mask(shape, x0, y0, x1, y1):
-    mask = np.zeros(shape, dtype=bool)
-    mask[y0:y1, x0:x1] = True
-    return mask
-
-
 # Rectangles around the things, drawn by hand on the colour images: x0, y0, x1, y1.
 FRAMES = {
     0: {"table": (240, 300, 300, 460), "near chair": (165, 120, 235, 345), "far chair": (440, 140, 570, 165)},
@@ -28,8 +21,8 @@ def test_table_chairs_and_mugs_of_a_real_kitchen_are_instances(redkitchen, index
     source.close()
     instances = GeometricSegmenter(GeometricConfig()).segment(frame).instances
     labels = {}
-    for name, rectangle in FRAMES[index].items():
-        inside = instances[box_mask(instances.shape, *rectangle)]
+    for name, (x0, y0, x1, y1) in FRAMES[index].items():
+        inside = instances[y0:y1, x0:x1]
         labels[name] = int(np.bincount(inside[inside > 0]).argmax()) if (inside > 0).any() else 0
         assert labels[name] > 0, f"nothing where the {name} is"
         assert (inside == labels[name]).mean() > 0.35, f"the {name} is in pieces"

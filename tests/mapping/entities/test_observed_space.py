@@ -12,11 +12,7 @@ from tests.mapping.mapping_fixtures import space
 key_sets = st.lists(st.integers(0, 30), max_size=20, unique=True).map(lambda keys: np.array(sorted(keys), np.int64))
 
 
-def _observed(free, structure, surface):
-    return space(free, structure, None, np.setdiff1d(surface, structure))
-
-
-observed = st.builds(_observed, key_sets, key_sets, key_sets)
+observed = st.builds(lambda a, b, c: space(a, b, None, np.setdiff1d(c, b)), key_sets, key_sets, key_sets)
 
 
 def after(*seen):
