@@ -3,7 +3,7 @@ from dataclasses import replace
 from itertools import permutations
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.labels import LABELS_FILE, load_labels, score_labels
@@ -53,6 +53,7 @@ def snapshot_of(*objects):
     objects=st.lists(st.floats(0, 2), max_size=3),
     min_iou=st.sampled_from([0.25, 0.5]),
 )
+@example(truth=[0.0, 0.4], objects=[0.15, -0.3], min_iou=0.25)  # the best pair first would leave one without any
 def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(truth, objects, min_iou):
     truth_boxes, map_boxes = [unit_box(x) for x in truth], [unit_box(x) for x in objects]
     matches = match_boxes(truth_boxes, map_boxes, min_iou)

@@ -314,9 +314,6 @@ def test_a_column_over_a_diamond_is_written_as_its_dual():
 
 
 def test_the_score_of_a_sphere_is_worked_out_by_hand():
-    def quadric(exponents, axes):
-        return quadric(exponents, axes)
-
     a, b = quadric((1.0, 1.0), (1.0, 1.0, 1.0)), quadric((0.5, 0.8), (2.0, 1.0, 0.5))
     expected = np.exp(-0.7) * (0.5 + 1 + 0.5) / 3
     # For a sphere no other order of the axes is better than the one that the paper writes.
