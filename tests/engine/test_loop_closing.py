@@ -98,6 +98,7 @@ def test_without_loops_the_map_keeps_drift_and_duplicates(tmp_path, closed):
     assert len(plain.snapshots[-1].objects) > len(closed.snapshots[-1].objects)
 
 
+SEARCH = "hickory_stream.loops.search.search_loops"
 NUM_FRAMES_OF_TWO, APART_M = 20, 0.6
 # No face lies on the border of two cells, where the rounding of points would choose between them.
 LEFT, RIGHT = (
@@ -129,13 +130,6 @@ def found(query, *_):
     return tuple(loop(earlier, query.later_id, 0.0) for earlier in (0, 2)) if query.later_id > 3 else ()
 
 
-@pytest.fixture(scope="module", autouse=True)
-def search():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hickory_stream.loops.search.search_loops", found)
-        yield
-
-
 def source():
     return SceneSource(NUM_FRAMES_OF_TWO, BOXES, camera=SCENE_CAMERA.scaled(1 / 2), step_of=lambda index: 2 * index)
 
@@ -143,7 +137,9 @@ def source():
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder, scene = tmp_path_factory.mktemp("whole"), source()
-    return map_scene(folder, *NO_SHAPES, *CONFIG, source=scene, segmenter=InstanceSegmenter(scene.instances))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SEARCH, found)
+        return map_scene(folder, *NO_SHAPES, *CONFIG, source=scene, segmenter=InstanceSegmenter(scene.instances))
 
 
 def centers(snapshot):
@@ -181,7 +177,9 @@ def test_its_journal_replays_the_map_and_the_believed_past(whole):
     assert len(saved.as_known_at(wrong.stamp_ns).objects) == 5
 
 
-def test_a_run_stopped_while_believing_it_gives_the_same_map(whole, tmp_path):
+def test_a_run_stopped_while_believing_it_gives_the_same_map(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(SEARCH, found)
+
     async def stop(mapper, snapshot):
         if len(snapshot.objects) == 5:
             mapper.stop()
