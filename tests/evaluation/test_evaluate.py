@@ -7,7 +7,7 @@ import pytest
 from hickory_stream.cli import main
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
-from hickory_stream.evaluation.explain import format_evaluation, worst_first
+from hickory_stream.evaluation.explain import format_evaluation, verdict, worst_first
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject, load_truth, structure_meshes, truth_record
@@ -98,7 +98,9 @@ def test_only_samples_that_a_frame_shows_count_for_containment(tmp_path):
     truth = truth_in(tmp_path / "truth")
     for name, shift_m, containment in (("away", 0.05, 0.0), ("towards", -0.05, 1.0)):
         shifted = map_in(tmp_path / name, map_from_world=placed(shift_m, 0.0, 0.0))
-        assert evaluate(shifted, truth).containment == containment
+        found = evaluate(shifted, truth)
+        assert found.containment == containment
+        assert ("100.00% sticks out of layer 4" in verdict(found.objects[0])) == (containment == 0.0)
 
 
 def test_a_map_without_layer_2_has_boxes_but_no_surfaces(tmp_path):
