@@ -1,7 +1,6 @@
 from dataclasses import replace
 import numpy as np
 import pytest
-from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.evaluation.why_text import place_text
 from hickory_stream.inspection.keyframe_labels import NO_DEPTH, STRUCTURE
