@@ -18,7 +18,7 @@ from hickory_stream.geometry.rigid import (
     rotation_from_quaternion,
     yaw_rotation,
 )
-from tools.worlds.layouts import RosMessages
+from tools.worlds.ros_bags import RosMessages
 
 CAMERA = Camera(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
 START_NS = 1_700_000_000_123_456_789
