@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
 from hickory_stream.alignment.affinity import distinctive_log_ranks, fused_log_ranks, semantic_scores, why_no_semantics
@@ -22,19 +23,13 @@ from hickory_stream.alignment.judgement import (
     why_refused,
     why_uncertain,
 )
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.alignment.refinement import refined
 from hickory_stream.alignment.registration import Levelled, common_covariance, levelled, registered
 from hickory_stream.alignment.search import hypotheses_of
 from hickory_stream.alignment.shape_scores import superquadric_scores
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
-
-    ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
+ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
 
 
 _ROUNDS = 4

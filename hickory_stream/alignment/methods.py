@@ -7,9 +7,11 @@ gradient ascent, and any three pairs are an alignment; `sq-paper` has Eq. (sgeo)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Callable
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.align import align, evidence_of, matched_pairs
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
@@ -21,12 +23,7 @@ from hickory_stream.alignment.registration import information, registered
 from hickory_stream.alignment.shape_scores import box_scores, literal_scores, point_scores, superquadric_scores
 from hickory_stream.geometry.rigid import apply
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
+ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
 
 Method = Literal["sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac"]
 METHODS: tuple[Method, ...] = get_args(Method)

@@ -6,20 +6,18 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.codecs.packing import array_of, planes_of
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Make = Callable[[str], NDArray[Any]]
-    MakeAll = Callable[[], Mapping[str, NDArray[Any]]]
-    Compressed = tuple[str, tuple[int, ...], Callable[[], bytes]]
+Make = Callable[[str], NDArray[Any]]
+MakeAll = Callable[[], Mapping[str, NDArray[Any]]]
+Compressed = tuple[str, tuple[int, ...], Callable[[], bytes]]
 
 Keep = Callable[[bytes], Callable[[], bytes]]
 """Keeps bytes, and returns what gives them back."""

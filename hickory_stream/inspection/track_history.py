@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from hickory_stream.map_folder.history.track_histories import TrackHistories, TrackHistory
+from hickory_stream.map_folder.history.track_histories import TrackHistories, TrackHistory
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,9 +11,11 @@ import base64
 import hashlib
 import itertools
 import math
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import plain_name, whole_number
 from hickory_stream.errors import MapFolderError
@@ -39,12 +41,7 @@ from hickory_stream.records import (
     View,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
-    Arrays = Mapping[str, NDArray[Any]]
+Arrays = Mapping[str, NDArray[Any]]
 
 
 def json_number(value: float | None) -> float | str | None:
@@ -137,7 +134,8 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
     """Return the document of a snapshot, and the contents of its files by their path in the map folder."""
     files: dict[str, bytes] = {}
     document = {
-        **_ints(snapshot, "revision", "stamp_ns"),
+        "revision": int(snapshot.revision),
+        "stamp_ns": int(snapshot.stamp_ns),
         "submaps": [encode_submap(submap, encode_space(submap, files)) for submap in snapshot.submaps],
         "objects": [encode_object(tracked, encode_points(tracked, files)) for tracked in snapshot.objects],
     }
@@ -160,7 +158,7 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: b
         submaps=tuple(_decode_submap(entry, read, is_whole=is_whole) for entry in document["submaps"]),
         objects=tuple(_decode_object(entry, read, is_whole=is_whole) for entry in document["objects"]),
         # Maps without a search for loops have none.
-        graph=None if document.get("graph") is None else _decode_graph(document["graph"]),
+        graph=None if document.get("graph") is None else _GRAPH.read(document["graph"]),
     )
     _check_ids("submap", [submap.id for submap in snapshot.submaps])
     _check_ids("object", [tracked.id for tracked in snapshot.objects])
@@ -201,7 +199,7 @@ def encode_submap(submap: Submap, space_names: tuple[str, ...]) -> Json:
 
 
 def _decode_submap(entry: Json, read: Callable[[str], bytes], *, is_whole: bool) -> Submap:
-    free, structure = (_file_of(entry[name], SPACE, "") for name in ("free", "structure"))
+    free, structure = (_file_of(entry[name], SPACE) for name in ("free", "structure"))
 
     def arrays() -> Arrays:
         return {"free": keys_array(read(free)), "structure": keys_array(read(structure))}
@@ -229,28 +227,12 @@ def encode_points(tracked: TrackedObject, files: dict[str, bytes]) -> str:
 def encode_object(tracked: TrackedObject, points_name: str) -> Json:
     """Return an object for the document; `points_name` is of `encode_points`."""
     names = [view.name for view in tracked.views]
-    return {
-        "id": int(tracked.id),
-        "phase": str(tracked.phase),
-        **_ints(tracked, "submap_id", "sightings", "first_seen_ns", "last_seen_ns"),
-        "points": points_name,
-        "box": {
-            "world_from_box": json_numbers(tracked.box.world_from_box),
-            "half_extents_m": json_numbers(tracked.box.half_extents_m),
-        },
-        "feature": json_float32s(tracked.feature),
-        "views": [_encode_view(view) for view in tracked.views],
-        "best_view": None if tracked.best_view is None else names.index(tracked.best_view.name),
-        "shape": None if tracked.shape is None else _encode_shape(tracked.shape),
-        "merged_ids": [int(i) for i in tracked.merged_ids],
-        "sketch": None if tracked.sketch is None else encode_superquadrics(tracked.sketch),
-        "kind": str(tracked.kind),
-        "fixture_probability": json_number(tracked.fixture_probability),
-    }
+    best = None if tracked.best_view is None else names.index(tracked.best_view.name)
+    return _OBJECT.write(tracked) | {"points": points_name, "best_view": best}
 
 
 def _decode_object(entry: Json, read: Callable[[str], bytes], *, is_whole: bool) -> TrackedObject:
-    name = _file_of(entry["points"], POINTS, "")
+    name = _file_of(entry["points"], POINTS)
 
     def arrays() -> Arrays:
         points_world, colors = points_arrays(read(name))
@@ -263,183 +245,25 @@ def _decode_object(entry: Json, read: Callable[[str], bytes], *, is_whole: bool)
 
 
 def _object_with(entry: Json, arrays: Arrays) -> TrackedObject:
-    views = tuple(_decode_view(view) for view in entry["views"])
-    return TrackedObject(
-        id=entry["id"],
-        phase=Phase(entry["phase"]),
-        submap_id=whole_number(entry["submap_id"], "submap"),
-        sightings=whole_number(entry["sightings"], "sightings"),
-        first_seen_ns=stamp(entry["first_seen_ns"]),
-        last_seen_ns=stamp(entry["last_seen_ns"]),
-        points_world=arrays["points_world"],
-        colors=arrays["colors"],
-        box=OrientedBox(
-            world_from_box=rigid_pose(entry["box"]["world_from_box"]),
-            half_extents_m=finite_array(entry["box"]["half_extents_m"]),
-        ),
-        feature=float32s(entry["feature"]),
-        views=views,
-        best_view=None if entry["best_view"] is None else views[whole_number(entry["best_view"], "best view")],
-        shape=None if entry["shape"] is None else _decode_shape(entry["shape"]),
-        merged_ids=tuple(whole_number(i, "merged id") for i in entry["merged_ids"]),
-        sketch=None if entry["sketch"] is None else decode_superquadrics(entry["sketch"]),
-        # Maps of earlier versions have objects alone.
-        kind=ObjectKind(entry.get("kind", ObjectKind.OBJECT)),
-        fixture_probability=float(entry.get("fixture_probability", 0.0)),
-    )
-
-
-def _encode_view(view: View) -> Json:
-    return {
-        "name": view.name,
-        **_ints(view, "object_id", "frame_index", "stamp_ns"),
-        "box_px": [int(i) for i in view.box_px],
-        "world_from_camera": json_numbers(view.world_from_camera),
-        **_numbers(view, "r_area", "r_depth", "box_volume_m3", "score", "variance"),
-        "feature": json_float32s(view.feature),
-        "is_cut": bool(view.is_cut),
-        "observation_index": int(view.observation_index),
-    }
-
-
-def _decode_view(entry: Json) -> View:
-    x0, y0, x1, y1 = (whole_number(edge, "a pixel", -_MOST_PIXELS) for edge in entry["box_px"])
-    return View(
-        object_id=whole_number(entry["object_id"], "object"),
-        frame_index=entry["frame_index"],
-        stamp_ns=stamp(entry["stamp_ns"]),
-        box_px=(x0, y0, x1, y1),
-        world_from_camera=rigid_pose(entry["world_from_camera"]),
-        r_area=float(entry["r_area"]),
-        r_depth=float(entry["r_depth"]),
-        box_volume_m3=float(entry["box_volume_m3"]),
-        score=maybe_float(entry["score"]),
-        variance=maybe_float(entry["variance"]),
-        feature=float32s(entry["feature"]),
-        is_cut=flag(entry["is_cut"]),
-        observation_index=entry["observation_index"],
-    )
-
-
-def _encode_shape(shape: ObjectShape) -> Json:
-    return {
-        "revision": int(shape.revision),
-        "reconstructor": shape.reconstructor,
-        "mesh_name": shape.mesh_name,
-        "mesh_sha256": shape.mesh_sha256,
-        "world_from_object": json_numbers(shape.world_from_object),
-        "fitted": encode_superquadrics(shape.fitted),
-        "inflated": encode_superquadrics(shape.inflated),
-        "seen_share": json_numbers(shape.seen_share),
-        "containment": {
-            **_ints(shape.containment, "num_checked", "num_outside"),
-            "max_g": json_number(shape.containment.max_g),
-            "is_certified": bool(shape.containment.is_certified),
-            "is_fallback": bool(shape.containment.is_fallback),
-            **_numbers(shape.containment, "margin_m", "shell_m"),
-        },
-        **({"verdict": shape.verdict} if shape.verdict else {}),
-        **({"fit_kind": shape.fit_kind} if shape.fit_kind != "solid" else {}),
-    }
-
-
-def _decode_shape(entry: Json) -> ObjectShape:
-    checked = entry["containment"]
-    return ObjectShape(
-        revision=whole_number(entry["revision"], "revision"),
-        reconstructor=plain_text(entry["reconstructor"]),
-        mesh_name=entry["mesh_name"],
-        mesh_sha256=plain_text(entry["mesh_sha256"]),
-        world_from_object=rigid_pose(entry["world_from_object"]),
-        fitted=_superquadrics(entry["fitted"]),
-        inflated=_superquadrics(entry["inflated"]),
-        seen_share=finite_array(entry["seen_share"]),
-        containment=Containment(
-            num_checked=whole_number(checked["num_checked"], "a number of pieces"),
-            num_outside=whole_number(checked["num_outside"], "a number of pieces"),
-            max_g=float(checked["max_g"]),
-            is_certified=flag(checked["is_certified"]),
-            is_fallback=flag(checked["is_fallback"]),
-            margin_m=float(checked["margin_m"]),
-            shell_m=float(checked["shell_m"]),
-        ),
-        verdict=plain_text(entry.get("verdict", "")),
-        fit_kind=entry.get("fit_kind", "solid"),
-    )
+    views = _VIEWS.read(entry["views"])
+    best_view = None if entry["best_view"] is None else views[whole_number(entry["best_view"], "best view")]
+    tracked: TrackedObject = _OBJECT.read(_AS_BEFORE_KINDS | entry, views=views, best_view=best_view, **arrays)
+    return tracked
 
 
 def encode_graph(graph: PoseGraphRecord) -> Json:
     """Return a pose graph for the document."""
-    return {
-        "nodes": [
-            {
-                **_ints(node, "submap_id", "stamp_ns"),
-                "place": json_numbers(node.place),
-                "uncorrected": json_numbers(node.uncorrected),
-                **_numbers(node, "sigma_m", "sigma_rad"),
-                "covariance_xy": json_numbers(node.covariance_xy),
-            }
-            for node in graph.nodes
-        ],
-        "edges": [
-            {
-                "kind": edge.kind,
-                **_ints(edge, "earlier", "later"),
-                "status": edge.status,
-                "score": json_number(edge.score),
-                "reason": edge.reason,
-                **_numbers(edge, "residual_m", "residual_rad"),
-                "stamp_ns": int(edge.stamp_ns),
-            }
-            for edge in graph.edges
-        ],
-    }
+    encoded: Json = _GRAPH.write(graph)
+    return encoded
 
 
-def _decode_graph(entry: Json) -> PoseGraphRecord:
-    return PoseGraphRecord(
-        nodes=tuple(
-            GraphNode(
-                submap_id=whole_number(node["submap_id"], "submap"),
-                stamp_ns=stamp(node["stamp_ns"]),
-                place=rigid_pose(node["place"]),
-                uncorrected=rigid_pose(node["uncorrected"]),
-                sigma_m=finite(node["sigma_m"]),
-                sigma_rad=finite(node["sigma_rad"]),
-                covariance_xy=finite_array(node["covariance_xy"]),
-            )
-            for node in entry["nodes"]
-        ),
-        edges=tuple(
-            GraphEdge(
-                kind=_one_of(edge["kind"], EDGE_KINDS),
-                earlier=whole_number(edge["earlier"], "submap"),
-                later=whole_number(edge["later"], "submap"),
-                status=_one_of(edge["status"], EDGE_STATUSES),
-                score=maybe_float(edge["score"]),
-                reason=plain_text(edge["reason"]),
-                residual_m=finite(edge["residual_m"]),
-                residual_rad=finite(edge["residual_rad"]),
-                stamp_ns=stamp(edge["stamp_ns"]),
-            )
-            for edge in entry["edges"]
-        ),
-    )
+def _one_of(known: tuple[T, ...]) -> Callable[[Any], T]:
+    def choice(word: Any) -> T:
+        if word not in known:
+            raise ValueError(f"{word!r} is none of {', '.join(map(str, known))}")
+        return known[known.index(word)]
 
-
-def _ints(record: object, *names: str) -> Json:
-    return {name: int(getattr(record, name)) for name in names}
-
-
-def _numbers(record: object, *names: str) -> Json:
-    return {name: json_number(getattr(record, name)) for name in names}
-
-
-def _one_of(word: Any, known: tuple[T, ...]) -> T:
-    for choice in known:
-        if choice == word:
-            return choice
-    raise ValueError(f"{word!r} is none of {', '.join(map(str, known))}")
+    return choice
 
 
 def encode_superquadrics(primitives: Superquadrics) -> Json:
@@ -464,6 +288,89 @@ def _superquadrics(entry: Json) -> Superquadrics:
     )
 
 
+class _Form(NamedTuple):
+    """How a value is written to the document, and read from it."""
+
+    write: Callable[[Any], Any]
+    read: Callable[..., Any]
+
+
+def _record(kind: Callable[..., Any], forms: Mapping[str, _Form | None]) -> _Form:
+    # Forms by field, in the order of the document; None for a field that the caller writes and reads.
+    known = {name: form for name, form in forms.items() if form is not None}
+
+    def write(record: object) -> Json:
+        return {name: form and form.write(getattr(record, name)) for name, form in forms.items()}
+
+    def read(entry: Json, **others: Any) -> Any:
+        found = {name: form.read(entry[name]) for name, form in known.items() if name not in others}
+        return kind(**found, **others)
+
+    return _Form(write, read)
+
+
+def _several(form: _Form) -> _Form:
+    return _Form(lambda values: [form.write(value) for value in values], lambda entries: tuple(map(form.read, entries)))
+
+
+def _perhaps(form: _Form) -> _Form:
+    return _Form(*(lambda value, turn=turn: None if value is None else turn(value) for turn in form))
+
+
+def _view(name: str, box_px: tuple[int, ...], **fields: Any) -> View:
+    x0, y0, x1, y1 = box_px
+    return View(box_px=(x0, y0, x1, y1), **fields)
+
+
+def _written_shape(shape: ObjectShape) -> Json:
+    return {name: value for name, value in _WHOLE_SHAPE.write(shape).items() if _USUAL.get(name) != value}
+
+
+_INT = _Form(int, lambda value: whole_number(value, "number"))
+_PIXEL = _Form(int, lambda value: whole_number(value, "pixel", -_MOST_PIXELS))
+_STAMP, _FLAG, _TEXT = _Form(int, stamp), _Form(bool, flag), _Form(str, plain_text)
+_NUMBER, _FINITE, _MAYBE = _Form(json_number, float), _Form(json_number, finite), _Form(json_number, maybe_float)
+_POSE, _ARRAY = _Form(json_numbers, rigid_pose), _Form(json_numbers, finite_array)
+_FEATURE = _Form(json_float32s, float32s)
+_BOX: dict[str, _Form | None] = {"world_from_box": _POSE, "half_extents_m": _ARRAY}
+_BODIES, _SKETCH = _Form(encode_superquadrics, _superquadrics), _Form(encode_superquadrics, decode_superquadrics)
+_VIEWS = _several(_record(_view, {
+    "name": _TEXT, "object_id": _INT, "frame_index": _INT, "stamp_ns": _STAMP, "box_px": _several(_PIXEL),
+    "world_from_camera": _POSE, "r_area": _NUMBER, "r_depth": _NUMBER, "box_volume_m3": _NUMBER, "score": _MAYBE,
+    "variance": _MAYBE, "feature": _FEATURE, "is_cut": _FLAG, "observation_index": _INT,
+}))  # fmt: skip
+_CONTAINMENT = _record(Containment, {
+    "num_checked": _INT, "num_outside": _INT, "max_g": _NUMBER, "is_certified": _FLAG, "is_fallback": _FLAG,
+    "margin_m": _NUMBER, "shell_m": _NUMBER,
+})  # fmt: skip
+_WHOLE_SHAPE = _record(ObjectShape, {
+    "revision": _INT, "reconstructor": _TEXT, "mesh_name": _TEXT, "mesh_sha256": _TEXT, "world_from_object": _POSE,
+    "fitted": _BODIES, "inflated": _BODIES, "seen_share": _ARRAY, "containment": _CONTAINMENT, "verdict": _TEXT,
+    "fit_kind": _TEXT,
+})  # fmt: skip
+# Left out of the document.
+_USUAL = {"verdict": "", "fit_kind": "solid"}
+_SHAPE = _Form(_written_shape, lambda entry: _WHOLE_SHAPE.read(_USUAL | entry))
+_OBJECT = _record(TrackedObject, {
+    "id": _INT, "phase": _Form(str, Phase), "submap_id": _INT, "sightings": _INT, "first_seen_ns": _STAMP,
+    "last_seen_ns": _STAMP, "points": None, "box": _record(OrientedBox, _BOX), "feature": _FEATURE, "views": _VIEWS,
+    "best_view": None, "shape": _perhaps(_SHAPE), "merged_ids": _several(_INT), "sketch": _perhaps(_SKETCH),
+    "kind": _Form(str, ObjectKind), "fixture_probability": _NUMBER,
+})  # fmt: skip
+# Maps of earlier versions have objects alone.
+_AS_BEFORE_KINDS = {"kind": ObjectKind.OBJECT, "fixture_probability": 0.0}
+_NODE = _record(GraphNode, {
+    "submap_id": _INT, "stamp_ns": _STAMP, "place": _POSE, "uncorrected": _POSE, "sigma_m": _FINITE,
+    "sigma_rad": _FINITE, "covariance_xy": _ARRAY,
+})  # fmt: skip
+_EDGE = _record(GraphEdge, {
+    "kind": _Form(str, _one_of(EDGE_KINDS)), "earlier": _INT, "later": _INT,
+    "status": _Form(str, _one_of(EDGE_STATUSES)), "score": _MAYBE, "reason": _TEXT, "residual_m": _FINITE,
+    "residual_rad": _FINITE, "stamp_ns": _STAMP,
+})  # fmt: skip
+_GRAPH = _record(PoseGraphRecord, {"nodes": _several(_NODE), "edges": _several(_EDGE)})
+
+
 def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str) -> R:
     def read() -> Arrays:
         try:
@@ -475,9 +382,9 @@ def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str
     return record
 
 
-def _file_of(name: Any, folder: str, suffix: str) -> str:
+def _file_of(name: Any, folder: str) -> str:
     inside = name.removeprefix(f"{folder}/") if isinstance(name, str) else name
-    return f"{folder}/{plain_name(inside, suffix)}"
+    return f"{folder}/{plain_name(inside, '')}"
 
 
 def _add_file(files: dict[str, bytes], stem: str, suffix: str, data: bytes) -> str:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, AtomicFiles, disk_errors, sync, write_atomically
 from hickory_stream.base.json_text import dumps_exactly
@@ -25,11 +27,7 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import crop_files
 from hickory_stream.records import MapSnapshot, Submap, TrackedObject
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    Write = Callable[[str, bytes], None]
+Write = Callable[[str, bytes], None]
 
 R = TypeVar("R", Submap, TrackedObject)
 

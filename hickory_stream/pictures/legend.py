@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.textures.textured_mesh import TexturedMesh
+from hickory_stream.textures.textured_mesh import TexturedMesh
 
 Color = tuple[int, int, int]
 GENERATED: Color = (226, 64, 200)

@@ -6,11 +6,15 @@ line; from above, only that of map a is shown. Without an alignment the maps sta
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Alignment, NoAlignment
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
@@ -20,14 +24,6 @@ from hickory_stream.pictures.legend import draw_legend
 from hickory_stream.pictures.raycast import Surface
 from hickory_stream.pictures.render_view import Model, draw_view, floor_around
 from hickory_stream.pictures.viewpoint import Viewpoint, corners_of, from_above, from_corner
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from collections.abc import Set as AbstractSet
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
 
 BLUE, ORANGE = (58, 118, 190), (238, 138, 48)
 _PALE = 0.62

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.free_space import FreeSpace, layer_four_of, obstacles_of
 from hickory_stream.navigation.occupancy import Cell
+from hickory_stream.navigation.robot import Posture
 from hickory_stream.navigation.search import NoPath, Path
-from hickory_stream.pictures.labels import draw_labels, draw_scale, draw_title, flat_labels
+from hickory_stream.pictures.labels import Label, draw_labels, draw_scale, draw_title, flat_labels
 from hickory_stream.pictures.legend import legend_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.robot import Posture
-    from hickory_stream.pictures.labels import Label
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 _TITLE_PX, _MARGIN_PX, _LONG_SIDE_PX = 44, 30, 1000
 _FREE, _OCCUPIED, _UNKNOWN, _WALL = (250, 250, 248), (148, 154, 166), (208, 210, 216), (44, 48, 58)

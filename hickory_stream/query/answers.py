@@ -5,14 +5,17 @@ The degree of several conditions is their minimum (Zadeh, 1965); ties go by the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, assert_never
+from typing import assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import InputError
 from hickory_stream.query.colors import COLOR_NAMES
 from hickory_stream.query.grammar import question_of
+from hickory_stream.query.map_index import MapIndex
 from hickory_stream.query.question import (
     Condition,
     Either,
@@ -35,14 +38,7 @@ from hickory_stream.query.question import (
 from hickory_stream.query.relations import distances_to, distances_to_place, related, related_to_place, related_to_room
 from hickory_stream.query.shape_scores import LEVEL_M, NUM_LEVELS, SHAPE_WORDS, ramp
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.query.map_index import MapIndex
-
-    Looks = Callable[[str], NDArray[np.float64]]
+Looks = Callable[[str], NDArray[np.float64]]
 
 ENOUGH = 0.5
 # Beyond a range of sizes by this share, a thing is of another size.

@@ -9,20 +9,17 @@ from __future__ import annotations
 import errno
 import logging
 import os
+from collections.abc import Callable
 from contextlib import suppress
-from typing import IO, TYPE_CHECKING, BinaryIO, cast
+from pathlib import Path
+from typing import IO, BinaryIO, cast
 
 from hickory_stream.errors import InputError, OutputError
 from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
+from hickory_stream.navigation.robot import Robot
 from hickory_stream.navigation.stand_ins import SeenSurface
+from hickory_stream.records import FrameReport
 from hickory_stream.sinks.ros_messages import GRID, UPDATE, definition_of, grid_message
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.navigation.robot import Robot
-    from hickory_stream.records import FrameReport
 
 logger = logging.getLogger(__name__)
 

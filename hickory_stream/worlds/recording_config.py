@@ -5,8 +5,10 @@ A room is the only scene here; others, and other logs, come from outside by `reg
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,17 +16,12 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.worlds.depth_camera import DepthCameraConfig
 from hickory_stream.worlds.room import furnished_room
+from hickory_stream.worlds.scene import World
 from hickory_stream.worlds.shots import Sensors, Stage
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, WalkConfig, walk_round
 from hickory_stream.worlds.zed_log import LogWriter, ZedLog
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
-
-    from hickory_stream.worlds.scene import World
-
-    Walk: TypeAlias = Callable[[World, int], Trajectory | NoWalk]
+Walk: TypeAlias = Callable[[World, int], Trajectory | NoWalk]
 
 _WORLDS = 20
 

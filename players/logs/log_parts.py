@@ -8,14 +8,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
+from players.logs.containers import Log, Topic
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, VIDEOS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from players.logs.containers import Log, Topic
 
 _NUMBER, _LEAST_NS, _MOST_NS = 6, 3_000_000_000, 6_000_000_000
 # Images begin after the poses of a part and end before them.

@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain, groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
 from players.logs.clock_steps import ClockSteps, Timed
 from players.logs.containers import Log, LogMessage, Topic, UnreadableMessageError, deserialize, files_identity
+from players.logs.log_damage import Flaws
 from players.logs.log_parts import parts_of
+from players.logs.log_setup import LogSetup
 from players.logs.message_account import Account, Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
 from players.logs.timeline import Order, Timeline
+from players.messages.calibration import Lens
 from players.messages.depth_registration import Registration, register_depth, with_motion
 from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.images import LogImage, color_of, depth_of, image_of
@@ -31,16 +35,7 @@ from players.messages.point_clouds import scan_of
 from players.messages.records import CAMERA_INFO, POINT_CLOUD
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader
 from players.poses.pose_gaps import PoseGaps
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from players.logs.log_damage import Flaws
-    from players.logs.log_setup import LogSetup
-    from players.messages.calibration import Lens
-    from players.poses.tf import FrameTree
+from players.poses.tf import FrameTree
 
 logger = logging.getLogger(__name__)
 

@@ -9,20 +9,17 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hickory_stream.geometry.rigid import invert
-from players.logs.containers import UnreadableMessageError, deserialize
+from players.logs.containers import Topic, UnreadableMessageError, deserialize
+from players.logs.ros1_log import Ros1Log
 from players.messages.records import IMAGE
 from players.poses.interpolation import is_pose_row, pose_of_row
 from players.poses.tf import Edge
 from players.profile import RigLinks, load_profile
-
-if TYPE_CHECKING:
-    from players.logs.containers import Topic
-    from players.logs.ros1_log import Ros1Log
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/(Depth|Color)_\d+)/image/data")
 _UNITS = re.compile(r"/option/Depth[ _]Units/value|/property")

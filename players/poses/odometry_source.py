@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, deque
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert, no_directions, turned_directions
@@ -20,23 +21,17 @@ from hickory_stream.ports import NotRegistered, Registered, Source, SourceAround
 from hickory_stream.poses.camera_odometry import CameraOdometry
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
+from hickory_stream.poses.odometry_config import MethodName, Sensor
 from hickory_stream.poses.upright import LevelledPoses, up_in
+from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
 from players.logs.log_source import LogSource
+from players.options import OdometryChoice
 from players.poses.interpolation import row_of_pose, world_from_down
 from players.poses.tf import FrameTree
 from players.poses.tracks import GrowingTrack
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.poses.odometry_config import MethodName, Sensor
-    from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
-    from players.options import OdometryChoice
-
-    _Posed = tuple[RawFrame, NDArray[np.float64], NDArray[np.float64], Frame | None]
-    """A frame, its pose (4, 4), `Frame.degenerate`, and what was decoded of it, if anything was."""
+_Posed = tuple[RawFrame, NDArray[np.float64], NDArray[np.float64], Frame | None]
+"""A frame, its pose (4, 4), `Frame.degenerate`, and what was decoded of it, if anything was."""
 
 logger = logging.getLogger(__name__)
 

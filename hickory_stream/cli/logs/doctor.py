@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.terminal import clear_line
+from hickory_stream.cli.commands import Commands
 from hickory_stream.cli.option_values import seconds
 from hickory_stream.cli.output_files import add_output, disk_refusals
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 _LIVE_S = 10.0
 

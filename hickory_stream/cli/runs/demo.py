@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from hickory_stream.cli.commands import Commands
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 _NAME = "room"
 # Files of `make_recording`, and of the steps after.

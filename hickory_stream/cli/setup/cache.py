@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from hickory_stream.base.caches import KINDS, cache_root, cap_mb, clear, entries
+from hickory_stream.cli.commands import Commands
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands) -> None:

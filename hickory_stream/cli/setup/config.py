@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from hickory_stream.cli.commands import Commands
 from hickory_stream.cli.option_values import read_settings
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands) -> None:

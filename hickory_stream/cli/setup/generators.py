@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from hickory_stream.cli.commands import Commands
 from hickory_stream.cli.output_files import add_output, write_picture
 from hickory_stream.errors import HickoryError
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands) -> None:

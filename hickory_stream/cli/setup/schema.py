@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from hickory_stream.base.json_text import dumps
+from hickory_stream.cli.commands import Commands
 from hickory_stream.errors import InputError
-
-if TYPE_CHECKING:
-    import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands) -> None:

@@ -6,24 +6,20 @@ surfaces nearly coincide.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Alignment, NoAlignment
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
 from hickory_stream.pictures.render_alignment import BLUE, ORANGE, alignment_meanings, pale
 from hickory_stream.sinks.rerun.items import new_stream
 from hickory_stream.sinks.rerun.piped_file import recorded_to
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
 
 _GAP = 1.2
 _ALPHA = 140

@@ -7,25 +7,21 @@ timeline `keyframe` counts each robot's own keyframes, since clocks may differ; 
 from __future__ import annotations
 
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import shaded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, quaternion_from_rotation
+from hickory_stream.records import TrackedObject
+from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.file import RrdFile
 from hickory_stream.sinks.rerun.items import KEYFRAME, LogItem, Moment, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.viewer import ViewerChoice, start_viewer
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import TrackedObject
-    from hickory_stream.sinks.rerun.config import RerunConfig
 
 _CLOSE_TIMEOUT_S = 2.0
 _COLORS = ((58, 140, 226), (238, 138, 48), (72, 186, 106), (222, 84, 120), (160, 120, 226), (214, 196, 64),

@@ -5,24 +5,20 @@ Cells, path and robot lie at different heights, since coplanar surfaces flicker.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.navigation.free_space import FreeSpace, layer_four_of, obstacles_of
 from hickory_stream.navigation.observed import rectangles
+from hickory_stream.navigation.robot import Posture
 from hickory_stream.navigation.search import NoPath, Path
+from hickory_stream.records import MapSnapshot
 from hickory_stream.sinks.rerun.items import new_stream
 from hickory_stream.sinks.rerun.piped_file import recorded_to
-
-if TYPE_CHECKING:
-    from pathlib import Path as FilePath
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.robot import Posture
-    from hickory_stream.records import MapSnapshot
 
 TIMELINE = "path_m"
 _STEP_M = 0.05

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.records import FrameReport, MapSnapshot
 from hickory_stream.sinks.rerun.blueprint import default_blueprint
+from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.frame import (
     ClassColors,
     FeatureColors,
@@ -22,16 +28,6 @@ from hickory_stream.sinks.rerun.objects import ObjectLayers
 from hickory_stream.sinks.rerun.plots import Plots, decision_items
 from hickory_stream.sinks.rerun.structure import Structure
 from hickory_stream.sinks.rerun.views import BestViews
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import FrameReport, MapSnapshot
-    from hickory_stream.sinks.rerun.config import RerunConfig
-
 
 # A growing cloud is logged at most this often.
 _CLOUD_PERIOD_S = 1.0

@@ -16,29 +16,23 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.camera import MOST_SIDE_PX
 from hickory_stream.geometry.rigid import compose
-from players.logs.layouts.file_parts import FilePart, members_of, read_image_file
-from players.logs.layouts.folder import FolderView
+from players.logs.layouts.file_parts import FilePart, ImageFile, members_of, read_image_file
+from players.logs.layouts.folder import FolderSource, FolderView
 from players.logs.layouts.folder_text import resized
-from players.logs.layouts.frame_collector import FrameCollector, sizes_of
+from players.logs.layouts.frame_collector import FrameCollector, Pose, sizes_of
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import MAX_PIXELS, decode_depth_png
+from players.options import SourceOptions
 from players.poses.interpolation import is_pose_row, pose_of_row
 from players.profile import Intrinsics, load_profile
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from players.logs.layouts.file_parts import ImageFile
-    from players.logs.layouts.folder import FolderSource
-    from players.logs.layouts.frame_collector import Pose
-    from players.options import SourceOptions
 
 _METADATA = re.compile(r"(.*/)?metadata(\.json)?")
 _IMAGE = re.compile(r"(rgbd|rgb|depth)/(\d{1,7})\.(jpg|jpeg|png|depth|exr|conf)")

@@ -11,29 +11,22 @@ import zlib
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from players.logs.layouts.file_parts import FilePart, span_of
-from players.logs.layouts.folder import FolderView
+from players.logs.layouts.folder import FolderSource, FolderView
 from players.logs.layouts.folder_text import intrinsics_of
-from players.logs.layouts.frame_collector import FrameCollector
+from players.logs.layouts.frame_collector import FrameCollector, Pose
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import MAX_PIXELS, metres_of_u16
+from players.options import SourceOptions
 from players.poses.interpolation import nearest_rigid
 from players.profile import load_profile
-
-if TYPE_CHECKING:
-    from typing import BinaryIO
-
-    from numpy.typing import NDArray
-
-    from players.logs.layouts.folder import FolderSource
-    from players.logs.layouts.frame_collector import Pose
-    from players.options import SourceOptions
 
 _VERSION = 4
 _NAME, _HEAD, _FRAME = struct.Struct("<IQ"), struct.Struct("<64f2i4IfQ"), struct.Struct("<16f4Q")
