@@ -6,7 +6,7 @@ The format number changes when a reader would misread the file. Poses are exact;
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,8 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
-from hickory_stream.geometry.rigid import apply, is_rigid
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.map_folder.codec import INT, NUMBER, POSE, STAMP, TEXT, list_form, record_form
 
 FORMAT = 1
 TRUTH_FILE = "truth.json"
@@ -169,85 +170,43 @@ def truth_record(truth: Truth) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "camera": {"width": camera.width, "height": camera.height, "K": camera.K.tolist()},
-        "objects": [_object_record(item) for item in truth.objects],
+        "objects": _OBJECTS.write(truth.objects),
         "structure": list(truth.structure),
-        "frames": [
-            {
-                "index": frame.index,
-                "stamp_ns": frame.stamp_ns,
-                "world_from_camera": frame.world_from_camera.tolist(),
-                "instances": frame.instances,
-            }
-            for frame in truth.frames
-        ],
-        **({} if truth.change is None else {"change": _change_record(truth.change)}),
+        "frames": _FRAMES.write(truth.frames),
+        **({} if truth.change is None else {"change": _CHANGE.write(truth.change)}),
     }
 
 
-def _change_record(change: TruthChange) -> dict[str, Any]:
-    return {"stamp_ns": change.stamp_ns, "before": [_object_record(item) for item in change.before]}
+_OBJECTS = list_form(record_form(TruthObject, {
+    "id": INT, "kind": TEXT, "mesh": TEXT, "world_from_object": POSE, "seen_fraction": NUMBER, "frames": list_form(INT),
+}))  # fmt: skip
+_FRAMES = list_form(
+    record_form(TruthFrame, {"index": INT, "stamp_ns": STAMP, "world_from_camera": POSE, "instances": TEXT})
+)
+_CHANGE = record_form(
+    lambda stamp_ns, before: TruthChange(stamp_ns=stamp_ns, before=_by_id(before)),
+    {"stamp_ns": STAMP, "before": _OBJECTS},
+)
 
 
-def _object_record(item: TruthObject) -> dict[str, Any]:
-    return {
-        "id": item.id,
-        "kind": item.kind,
-        "mesh": item.mesh,
-        "world_from_object": item.world_from_object.tolist(),
-        "seen_fraction": item.seen_fraction,
-        "frames": list(item.frames),
-    }
+def _by_id(objects: Iterable[TruthObject]) -> tuple[TruthObject, ...]:
+    return tuple(sorted(objects, key=lambda item: item.id))
 
 
 def _truth_of(folder: Path, record: dict[str, Any]) -> Truth:
     camera, K = record["camera"], np.array(record["camera"]["K"], dtype=np.float64)
     if K.shape != (3, 3):
         raise ValueError(f"K has shape {K.shape}; expected (3, 3)")
-    frames = tuple(
-        TruthFrame(
-            index=int(frame["index"]),
-            stamp_ns=int(frame["stamp_ns"]),
-            world_from_camera=_pose(frame["world_from_camera"]),
-            instances=str(frame["instances"]),
-        )
-        for frame in record["frames"]
-    )
     return Truth(
         folder=folder,
         camera=Camera(
             width=int(camera["width"]), height=int(camera["height"]), fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2]
         ),
-        objects=_objects_of(record["objects"]),
+        objects=_by_id(_OBJECTS.read(record["objects"])),
         structure=tuple(str(path) for path in record["structure"]),
-        frames=tuple(sorted(frames, key=lambda frame: frame.index)),
-        change=_change_of(record["change"]) if "change" in record else None,
+        frames=tuple(sorted(_FRAMES.read(record["frames"]), key=lambda frame: frame.index)),
+        change=_CHANGE.read(record["change"]) if "change" in record else None,
     )
-
-
-def _change_of(record: dict[str, Any]) -> TruthChange:
-    return TruthChange(stamp_ns=int(record["stamp_ns"]), before=_objects_of(record["before"]))
-
-
-def _objects_of(records: list[dict[str, Any]]) -> tuple[TruthObject, ...]:
-    objects = (
-        TruthObject(
-            id=int(item["id"]),
-            kind=str(item["kind"]),
-            mesh=str(item["mesh"]),
-            world_from_object=_pose(item["world_from_object"]),
-            seen_fraction=float(item["seen_fraction"]),
-            frames=tuple(int(index) for index in item["frames"]),
-        )
-        for item in records
-    )
-    return tuple(sorted(objects, key=lambda item: item.id))
-
-
-def _pose(rows: Any) -> NDArray[np.float64]:
-    a_from_b = np.array(rows, dtype=np.float64)
-    if not is_rigid(a_from_b):
-        raise ValueError(f"a pose is no rigid (4, 4) transform: {a_from_b.tolist()}")
-    return a_from_b
 
 
 def _mesh_at(truth: Truth, name: str) -> Mesh:

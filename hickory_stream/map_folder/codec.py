@@ -84,7 +84,7 @@ def rigid_pose(values: Any) -> NDArray[np.float64]:
     """Return a rigid (4, 4) transform; raises `ValueError`."""
     pose = to_array(values)
     if not is_rigid(pose):
-        raise ValueError(f"found {values}, expected a rigid (4, 4) transform")
+        raise ValueError(f"found {values}, which is no rigid (4, 4) transform")
     return pose
 
 
@@ -288,15 +288,15 @@ def _superquadrics(entry: Json) -> Superquadrics:
     )
 
 
-class _Form(NamedTuple):
+class Form(NamedTuple):
     """How a value is written to the document, and read from it."""
 
     write: Callable[[Any], Any]
     read: Callable[..., Any]
 
 
-def _record(kind: Callable[..., Any], forms: Mapping[str, _Form | None]) -> _Form:
-    # Forms by field, in the order of the document; None for a field that the caller writes and reads.
+def record_form(kind: Callable[..., Any], forms: Mapping[str, Form | None]) -> Form:
+    """Return the form of a record by its fields in their order; None for one that the caller writes and reads."""
     known = {name: form for name, form in forms.items() if form is not None}
 
     def write(record: object) -> Json:
@@ -306,15 +306,16 @@ def _record(kind: Callable[..., Any], forms: Mapping[str, _Form | None]) -> _For
         found = {name: form.read(entry[name]) for name, form in known.items() if name not in others}
         return kind(**found, **others)
 
-    return _Form(write, read)
+    return Form(write, read)
 
 
-def _several(form: _Form) -> _Form:
-    return _Form(lambda values: [form.write(value) for value in values], lambda entries: tuple(map(form.read, entries)))
+def list_form(form: Form) -> Form:
+    """Return the form of a tuple of values of one form."""
+    return Form(lambda values: [form.write(value) for value in values], lambda entries: tuple(map(form.read, entries)))
 
 
-def _perhaps(form: _Form) -> _Form:
-    return _Form(*(lambda value, turn=turn: None if value is None else turn(value) for turn in form))
+def _perhaps(form: Form) -> Form:
+    return Form(*(lambda value, turn=turn: None if value is None else turn(value) for turn in form))
 
 
 def _view(name: str, box_px: tuple[int, ...], **fields: Any) -> View:
@@ -326,49 +327,49 @@ def _written_shape(shape: ObjectShape) -> Json:
     return {name: value for name, value in _WHOLE_SHAPE.write(shape).items() if _USUAL.get(name) != value}
 
 
-_INT = _Form(int, lambda value: whole_number(value, "number"))
-_PIXEL = _Form(int, lambda value: whole_number(value, "pixel", -_MOST_PIXELS))
-_STAMP, _FLAG, _TEXT = _Form(int, stamp), _Form(bool, flag), _Form(str, plain_text)
-_NUMBER, _FINITE, _MAYBE = _Form(json_number, float), _Form(json_number, finite), _Form(json_number, maybe_float)
-_POSE, _ARRAY = _Form(json_numbers, rigid_pose), _Form(json_numbers, finite_array)
-_FEATURE = _Form(json_float32s, float32s)
-_BOX: dict[str, _Form | None] = {"world_from_box": _POSE, "half_extents_m": _ARRAY}
-_BODIES, _SKETCH = _Form(encode_superquadrics, _superquadrics), _Form(encode_superquadrics, decode_superquadrics)
-_VIEWS = _several(_record(_view, {
-    "name": _TEXT, "object_id": _INT, "frame_index": _INT, "stamp_ns": _STAMP, "box_px": _several(_PIXEL),
-    "world_from_camera": _POSE, "r_area": _NUMBER, "r_depth": _NUMBER, "box_volume_m3": _NUMBER, "score": _MAYBE,
-    "variance": _MAYBE, "feature": _FEATURE, "is_cut": _FLAG, "observation_index": _INT,
+INT = Form(int, lambda value: whole_number(value, "number"))
+_PIXEL = Form(int, lambda value: whole_number(value, "pixel", -_MOST_PIXELS))
+STAMP, _FLAG, TEXT = Form(int, stamp), Form(bool, flag), Form(str, plain_text)
+NUMBER, _FINITE, _MAYBE = Form(json_number, float), Form(json_number, finite), Form(json_number, maybe_float)
+POSE, _ARRAY = Form(json_numbers, rigid_pose), Form(json_numbers, finite_array)
+_FEATURE = Form(json_float32s, float32s)
+_BOX: dict[str, Form | None] = {"world_from_box": POSE, "half_extents_m": _ARRAY}
+_BODIES, _SKETCH = Form(encode_superquadrics, _superquadrics), Form(encode_superquadrics, decode_superquadrics)
+_VIEWS = list_form(record_form(_view, {
+    "name": TEXT, "object_id": INT, "frame_index": INT, "stamp_ns": STAMP, "box_px": list_form(_PIXEL),
+    "world_from_camera": POSE, "r_area": NUMBER, "r_depth": NUMBER, "box_volume_m3": NUMBER, "score": _MAYBE,
+    "variance": _MAYBE, "feature": _FEATURE, "is_cut": _FLAG, "observation_index": INT,
 }))  # fmt: skip
-_CONTAINMENT = _record(Containment, {
-    "num_checked": _INT, "num_outside": _INT, "max_g": _NUMBER, "is_certified": _FLAG, "is_fallback": _FLAG,
-    "margin_m": _NUMBER, "shell_m": _NUMBER,
+_CONTAINMENT = record_form(Containment, {
+    "num_checked": INT, "num_outside": INT, "max_g": NUMBER, "is_certified": _FLAG, "is_fallback": _FLAG,
+    "margin_m": NUMBER, "shell_m": NUMBER,
 })  # fmt: skip
-_WHOLE_SHAPE = _record(ObjectShape, {
-    "revision": _INT, "reconstructor": _TEXT, "mesh_name": _TEXT, "mesh_sha256": _TEXT, "world_from_object": _POSE,
-    "fitted": _BODIES, "inflated": _BODIES, "seen_share": _ARRAY, "containment": _CONTAINMENT, "verdict": _TEXT,
-    "fit_kind": _TEXT,
+_WHOLE_SHAPE = record_form(ObjectShape, {
+    "revision": INT, "reconstructor": TEXT, "mesh_name": TEXT, "mesh_sha256": TEXT, "world_from_object": POSE,
+    "fitted": _BODIES, "inflated": _BODIES, "seen_share": _ARRAY, "containment": _CONTAINMENT, "verdict": TEXT,
+    "fit_kind": TEXT,
 })  # fmt: skip
 # Left out of the document.
 _USUAL = {"verdict": "", "fit_kind": "solid"}
-_SHAPE = _Form(_written_shape, lambda entry: _WHOLE_SHAPE.read(_USUAL | entry))
-_OBJECT = _record(TrackedObject, {
-    "id": _INT, "phase": _Form(str, Phase), "submap_id": _INT, "sightings": _INT, "first_seen_ns": _STAMP,
-    "last_seen_ns": _STAMP, "points": None, "box": _record(OrientedBox, _BOX), "feature": _FEATURE, "views": _VIEWS,
-    "best_view": None, "shape": _perhaps(_SHAPE), "merged_ids": _several(_INT), "sketch": _perhaps(_SKETCH),
-    "kind": _Form(str, ObjectKind), "fixture_probability": _NUMBER,
+_SHAPE = Form(_written_shape, lambda entry: _WHOLE_SHAPE.read(_USUAL | entry))
+_OBJECT = record_form(TrackedObject, {
+    "id": INT, "phase": Form(str, Phase), "submap_id": INT, "sightings": INT, "first_seen_ns": STAMP,
+    "last_seen_ns": STAMP, "points": None, "box": record_form(OrientedBox, _BOX), "feature": _FEATURE, "views": _VIEWS,
+    "best_view": None, "shape": _perhaps(_SHAPE), "merged_ids": list_form(INT), "sketch": _perhaps(_SKETCH),
+    "kind": Form(str, ObjectKind), "fixture_probability": NUMBER,
 })  # fmt: skip
 # Maps of earlier versions have objects alone.
 _AS_BEFORE_KINDS = {"kind": ObjectKind.OBJECT, "fixture_probability": 0.0}
-_NODE = _record(GraphNode, {
-    "submap_id": _INT, "stamp_ns": _STAMP, "place": _POSE, "uncorrected": _POSE, "sigma_m": _FINITE,
+_NODE = record_form(GraphNode, {
+    "submap_id": INT, "stamp_ns": STAMP, "place": POSE, "uncorrected": POSE, "sigma_m": _FINITE,
     "sigma_rad": _FINITE, "covariance_xy": _ARRAY,
 })  # fmt: skip
-_EDGE = _record(GraphEdge, {
-    "kind": _Form(str, _one_of(EDGE_KINDS)), "earlier": _INT, "later": _INT,
-    "status": _Form(str, _one_of(EDGE_STATUSES)), "score": _MAYBE, "reason": _TEXT, "residual_m": _FINITE,
-    "residual_rad": _FINITE, "stamp_ns": _STAMP,
+_EDGE = record_form(GraphEdge, {
+    "kind": Form(str, _one_of(EDGE_KINDS)), "earlier": INT, "later": INT,
+    "status": Form(str, _one_of(EDGE_STATUSES)), "score": _MAYBE, "reason": TEXT, "residual_m": _FINITE,
+    "residual_rad": _FINITE, "stamp_ns": STAMP,
 })  # fmt: skip
-_GRAPH = _record(PoseGraphRecord, {"nodes": _several(_NODE), "edges": _several(_EDGE)})
+_GRAPH = record_form(PoseGraphRecord, {"nodes": list_form(_NODE), "edges": list_form(_EDGE)})
 
 
 def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str) -> R:
