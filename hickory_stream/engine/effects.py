@@ -35,7 +35,6 @@ from hickory_stream.perception.perceive import features_of
 from hickory_stream.ports import Crop, FeatureExtractor
 from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
 
-# Quality of the kept images where the log has none.
 _JPEG_QUALITY = 80
 
 
@@ -228,7 +227,6 @@ class DueShapes:
             self._to.folder.keep_shape(event.shape.mesh_name)
 
     async def _next(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
-        # None also where a stop leaves no time for the next shape.
         if self._mode == "live" and stamp_ns is not None:
             return await self._to.shapes.next_arrived(stamp_ns)
         return await self._stop.within_grace(self._to.shapes.next_due(stamp_ns), "next-shape", self._grace_s)

@@ -161,7 +161,6 @@ def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
 
 
 class _Cache:
-    # Few and small chunks; always the last one.
     def __init__(self) -> None:
         self._chunks: OrderedDict[int, tuple[list[FileMessage], int]] = OrderedDict()
         self._num_bytes = 0

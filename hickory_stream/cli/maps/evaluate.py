@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -12,8 +13,6 @@ from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
-    import argparse
-
     from hickory_stream.cli.commands import Commands
     from hickory_stream.evaluation.match import TrueBox
 

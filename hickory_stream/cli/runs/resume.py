@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,8 +14,6 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
-    import argparse
-
     from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
