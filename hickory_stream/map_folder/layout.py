@@ -1,18 +1,4 @@
-"""Content of a map folder, where one may be made, and its lock.
-
-    MAP/
-      manifest.json   format, software, config, source, `finished_cleanly`, and the digest once it is finished
-      objects.json    the last saved snapshot; names the files in points/ and space/ by the hash of their content
-      points/         layer 1 of each object, compressed
-      space/          observed voxels of each submap, compressed keys
-      views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json;
-                      of lossy ones NAME.color.jpg or .webp, and NAME.mask.png
-      shapes/         layer 2 of each object, compressed
-      jobs/           input and output of shape workers
-      journal.mcap    all events, step by step, and checkpoints of the core
-      failed/         the input of failed shape jobs
-      ledger.json     use of every message and frame
-      timings.json    seconds; in no digest
+"""Names in a map folder (README.md has their content), where one may be made, and its lock.
 
 `objects.json` is replaced last, and files that it no longer names are removed after that: a killed run's folder opens
 as of its last complete save. No pickle is written or read. One process writes a folder; its lock ends with it.
