@@ -8,7 +8,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -34,31 +33,8 @@ def run_task(task: LogTask, is_stopped: Callable[[], bool] = lambda: False) -> L
     return LogOutcome(name=task.name, state="failed", reason=reason)
 
 
-class Children:
-    """Running processes, to end them together."""
-
-    def __init__(self) -> None:
-        self._running: set[subprocess.Popen[bytes]] = set()
-        self._lock = threading.Lock()
-
-    def add(self, process: subprocess.Popen[bytes]) -> None:
-        """Add a started process."""
-        with self._lock:
-            self._running.add(process)
-
-    def remove(self, process: subprocess.Popen[bytes]) -> None:
-        """Remove an ended process."""
-        with self._lock:
-            self._running.discard(process)
-
-    def kill(self) -> None:
-        """Kill all of them; their maps can be resumed."""
-        with self._lock:
-            for process in self._running:
-                process.kill()
-
-
-CHILDREN = Children()
+CHILDREN: set[subprocess.Popen[bytes]] = set()
+"""Running processes, to end them together; their maps can be resumed."""
 
 
 def _attempt(task: LogTask) -> tuple[LogOutcome | None, int]:
@@ -86,7 +62,7 @@ def _attempt(task: LogTask) -> tuple[LogOutcome | None, int]:
             line = process.stdout.readline()
             status = process.wait()
         finally:
-            CHILDREN.remove(process)
+            CHILDREN.discard(process)
             process.kill()
     try:
         return LogOutcome(**json.loads(line)), status

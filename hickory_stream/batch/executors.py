@@ -91,7 +91,8 @@ def outcomes_here(tasks: Sequence[LogTask], workers: int) -> Iterator[LogOutcome
             is_stopped = True
             for one in open_:
                 one.cancel()
-            CHILDREN.kill()
+            for process in list(CHILDREN):
+                process.kill()
 
 
 def _shares(workers: int) -> list[tuple[int, ...]]:

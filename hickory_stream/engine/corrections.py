@@ -19,7 +19,6 @@ from hickory_stream.engine.loop_closing import LoopCloser
 from hickory_stream.errors import InputError
 from hickory_stream.events import KeyframeKeptOut, PoseJumped, PosesCorrected
 from hickory_stream.geometry.rigid import is_rigid
-from hickory_stream.map_folder.history.registration_history import RegistrationHistory
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.poses.surface_image import SurfaceImage
 from hickory_stream.records import Frame
@@ -103,24 +102,12 @@ class KeyframeRegistrar:
     """Registers keyframes on a thread, in their order; a series of rejected keyframes is logged once."""
 
     def __init__(self, config: RegistrationConfig, effects: EffectRunner, thread: ThreadPoolExecutor) -> None:
-        self._places = RegistrationFilter(config)
+        self.places = RegistrationFilter(config)
         self._effects = effects
         self._thread = thread
         self.counts: Counter[str] = Counter()
         self.seconds = 0.0
         self._is_keeping_out = False
-
-    def where(self, odometry_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the camera's pose (4, 4) in the map, from its pose by odometry."""
-        return self._places.where(odometry_from_camera)
-
-    def jumped(self, *, is_loop: bool = False) -> None:
-        """Record a jump of the odometry or the stamps; `is_loop`: the log begins again, and so do its poses."""
-        self._places.jumped(is_loop=is_loop)
-
-    def restore(self, history: RegistrationHistory | None) -> None:
-        """Continue from a recorded step, None: from the beginning."""
-        self._places.restore(history)
 
     async def place(self, frame: Frame, surface: SurfaceImage | None = None) -> Frame | None:
         """Return a keyframe at its registered pose, None if it does not fit the map.
@@ -128,7 +115,7 @@ class KeyframeRegistrar:
         `surface` is its `keyframe_surface`, None if it was not computed ahead.
         """
         started = time.perf_counter()
-        found = await on_thread(self._thread, self._places.place, frame, surface)
+        found = await on_thread(self._thread, self.places.place, frame, surface)
         self.seconds += time.perf_counter() - started
         if found is None:
             return frame

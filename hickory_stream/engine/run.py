@@ -110,7 +110,7 @@ class Run:
         self._registrar = KeyframeRegistrar(config.registration, self._effects, self._mapping_thread)
         if parts.resumes is not None:
             self._clock.resume(parts.resumes)
-            self._registrar.restore(parts.resumes.registration)
+            self._registrar.places.restore(parts.resumes.registration)
             self._publisher.snapshot = parts.core.snapshot()
             for name in parts.resumes.mesh_names:
                 folder.keep_shape(name)
@@ -226,7 +226,7 @@ class Run:
                     became = await self._map_keyframe(read) if outcome is FrameOutcome.MAPPED else outcome
                     if became is not FrameOutcome.MAPPED:
                         self._clock.counts[became.value] += 1
-                        pose = self._registrar.where(read.raw.world_from_camera)
+                        pose = self._registrar.places.where(read.raw.world_from_camera)
                         await self._publisher.show(plain_report(read.raw, pose))
                     self._report("mapping")
             except GraceExpired:
@@ -247,11 +247,11 @@ class Run:
             counts["time_jumps"] += 1
             if self._parts.mode == "playback":
                 await self._due.commit(None)
-            self._registrar.jumped(is_loop=jump.kind == "loop")
+            self._registrar.places.jumped(is_loop=jump.kind == "loop")
             await self._effects.handle(jump)
         elif raw.after_from_before is not None:
             counts["pose_jumps"] += 1
-            self._registrar.jumped()
+            self._registrar.places.jumped()
             await self._effects.handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
         self._steps.add_frame(self._clock.advance(read))
 
@@ -262,7 +262,7 @@ class Run:
         rewound = await on_thread(self._mapping_thread, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
         rewound.core.keep_far_arrays(self._far.keep)
-        self._registrar.restore(rewound.registration)
+        self._registrar.places.restore(rewound.registration)
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
         self._loops.restart(rewound.core.searches)
         self._corrections.forget()
@@ -370,7 +370,7 @@ class Run:
         self._publisher.publish(snapshot)
         self._report("saving")
         assert self._clock.camera is not None
-        pose, index = self._registrar.where(last.world_from_camera), self._clock.num_keyframes
+        pose, index = self._registrar.places.where(last.world_from_camera), self._clock.num_keyframes
         await self._publisher.show(
             final_report(last, pose, self._clock.camera, snapshot, keyframe_index=index, decisions=decisions)
         )

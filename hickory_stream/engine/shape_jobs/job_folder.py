@@ -121,16 +121,6 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
     write_atomically(folder / RESULT, dumps_exactly(result).encode(), sync=False)
 
 
-def is_complete(folder: Path) -> bool:
-    """Return whether the input of a job is complete."""
-    return (folder / JOB).is_file()
-
-
-def is_answered(folder: Path) -> bool:
-    """Return whether a worker has answered a job."""
-    return (folder / RESULT).is_file()
-
-
 def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> ShapeAnswer:
     """Return the answer of a job, and move its mesh into the map's `shapes/`; the job stays until it is removed.
 
@@ -165,11 +155,6 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
     return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"], hit_limit=bool(result.get("hit_limit")))
 
 
-def remove_job(folder: Path) -> None:
-    """Remove a finished job."""
-    shutil.rmtree(folder, ignore_errors=True)
-
-
 def keep_input(folder: Path, failed: Path, object_id: int, reason: str) -> None:
     """Move the input of a failed job, with the reason, to `failed`; the latest of each object is kept."""
     kept = failed / f"{object_id:06d}"
@@ -178,7 +163,7 @@ def keep_input(folder: Path, failed: Path, object_id: int, reason: str) -> None:
         folder.replace(kept)
         write_atomically(kept / FAILURE, dumps({"reason": reason}).encode(), sync=False)
     except OSError:
-        remove_job(folder)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 _UNKNOWN = "no reason was kept"

@@ -7,6 +7,7 @@ for a late one: number and speed of workers cannot change the map.
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -96,9 +97,9 @@ class ShapeQueue:
 
     def _adopt(self, job: OpenJob) -> None:
         folder = jobs_on_disk.job_folder(self._folder.jobs, job.ticket)
-        if jobs_on_disk.is_answered(folder):
+        if (folder / jobs_on_disk.RESULT).is_file():
             answer = _answered()
-        elif jobs_on_disk.is_complete(folder):
+        elif (folder / jobs_on_disk.JOB).is_file():
             answer = self._workers.submit(folder)
         else:
             raise MapFolderError(f"{folder}, which the map waits for, did not reach the disk; play the log again")
@@ -128,7 +129,7 @@ class ShapeQueue:
             if ticket in self._failed:
                 jobs_on_disk.keep_input(folder, self._folder.path / jobs_on_disk.FAILED, *self._failed.pop(ticket))
             else:
-                jobs_on_disk.remove_job(folder)
+                shutil.rmtree(folder, ignore_errors=True)
 
     def cancel(self, ticket: int) -> None:
         """Drop a job; if it runs, its result is ignored."""
