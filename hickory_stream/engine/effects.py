@@ -127,7 +127,7 @@ class EffectRunner:
         left: list[Effect] = []
         asked: Event | None = event
         while asked is not None:
-            self._to.steps.add_event(asked)
+            self._to.steps.unwritten.events.append(asked)
             effects = await on_thread(self._mapping_thread, self.core.handle, asked)
             asked = None
             # Pixels first: a job may need them.
@@ -151,7 +151,7 @@ class EffectRunner:
                 case KeepView() | ComputeFeatures() | Publish():
                     pass
                 case DropView():
-                    self._to.steps.drop_view(effect.name)
+                    self._to.steps.unwritten.dropped_views.append(effect.name)
                 case RequestShape():
                     await self._to.recorder.written()
                     await self._to.shapes.request(effect)
@@ -159,7 +159,7 @@ class EffectRunner:
                     self._to.loops.request(effect)
                 case CancelShape():
                     self._to.shapes.cancel(effect.ticket)
-                    self._to.steps.end_job(effect.ticket)
+                    self._to.steps.unwritten.ended_jobs.append(effect.ticket)
                 case _:
                     assert_never(effect)
 
@@ -182,7 +182,7 @@ class EffectRunner:
                 crop = crop_of(frame, observations[keep.observation_index], self._config.crop_margin)
                 write_crop(views, keep.view.name, crop, self._config)
 
-        await self._to.recorder.write_views(write)
+        await self._to.recorder.begin(write)
 
 
 class GraceExpired(Exception):
@@ -222,7 +222,7 @@ class DueShapes:
 
     async def _ended(self, event: ShapeReady | ShapeFailed) -> None:
         await self._effects.handle(event)
-        self._to.steps.end_job(event.ticket)
+        self._to.steps.unwritten.ended_jobs.append(event.ticket)
         if isinstance(event, ShapeReady):
             self._to.folder.keep_shape(event.shape.mesh_name)
 

@@ -139,11 +139,6 @@ class JournalChunks:
         return MapFolderError(f"{self.path} is damaged at byte {place.start}: {error}; play the log again")
 
 
-def packed_array(encoded: bytes) -> bytes:
-    """Return an encoded array for a chunk of arrays."""
-    return zstandard.compress(encoded)
-
-
 def unpacked_array(data: bytes | memoryview) -> bytes:
     """Return the encoded array. Raises `ValueError`: it is damaged."""
     try:
