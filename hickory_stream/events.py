@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.geometry.rigid import is_rigid, no_directions
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ class FrameObserved:
     depth_law: tuple[float, float, float] = (2.0**-7, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        freeze(self, "world_from_camera", float, (4, 4))
-        freeze(self, "degenerate", float, (None, 6))
+        freeze_all(self, float, world_from_camera=(4, 4), degenerate=(None, 6))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -163,8 +162,7 @@ class KeyframeRegistered:
     def __post_init__(self) -> None:
         for name in ("odometry_from_camera", "map_from_camera", "map_from_odometry"):
             freeze(self, name, float, (4, 4))
-        freeze(self, "degenerate", float, (None, 6))
-        freeze(self, "covariance", float, (6, 6))
+        freeze_all(self, float, degenerate=(None, 6), covariance=(6, 6))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

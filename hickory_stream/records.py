@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.confined import plain_name, whole_number
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
@@ -224,9 +224,7 @@ class SpaceObservation:
     surface_keys: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
-        freeze(self, "free_keys", np.int64, (None,))
-        freeze(self, "structure_keys", np.int64, (None,))
-        freeze(self, "surface_keys", np.int64, (None,))
+        freeze_all(self, np.int64, free_keys=(None,), structure_keys=(None,), surface_keys=(None,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -382,8 +380,7 @@ class ObjectShape:
         check_bodies(self.inflated)
         if self.fit_kind not in get_args(FitKind):
             raise ValueError(f"layer 3 is of kind {self.fit_kind!r}, not one of {', '.join(get_args(FitKind))}")
-        freeze(self, "world_from_object", np.float64, (4, 4))
-        freeze(self, "seen_share", np.float64, (len(self.fitted),))
+        freeze_all(self, np.float64, world_from_object=(4, 4), seen_share=(len(self.fitted),))
 
     @property
     def is_generated(self) -> bool:
@@ -457,8 +454,7 @@ class ObservedSpace(GivesUpArrays):
     floor_z_m: float | None
 
     def __post_init__(self) -> None:
-        freeze(self, "free", np.int64, (None,))
-        freeze(self, "structure", np.int64, (None,))
+        freeze_all(self, np.int64, free=(None,), structure=(None,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -515,13 +511,11 @@ class SurveyedSubmap(GivesUpArrays):
 
     def __post_init__(self) -> None:
         whole_number(self.id, "submap")
-        freeze(self, "world_from_submap", np.float64, (4, 4))
-        freeze(self, "anchor", np.float64, (4, 4))
+        freeze_all(self, np.float64, world_from_submap=(4, 4), anchor=(4, 4))
         for name in ("registered", "blind", "unfixed"):
             if getattr(self, name) is not None:
                 freeze(self, name, np.float64, (6, 6))
-        freeze(self, "points", np.float32, (None, 3))
-        freeze(self, "normals", np.float32, (len(self.points), 3))
+        freeze_all(self, np.float32, points=(None, 3), normals=(len(self.points), 3))
         freeze(self, "free", np.int64, (None,))
 
 
@@ -546,8 +540,7 @@ class Loop:
     def __post_init__(self) -> None:
         whole_number(self.earlier, "submap")
         whole_number(self.later, "submap")
-        freeze(self, "earlier_from_later", np.float64, (4, 4))
-        freeze(self, "covariance", np.float64, (6, 6))
+        freeze_all(self, np.float64, earlier_from_later=(4, 4), covariance=(6, 6))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -568,9 +561,7 @@ class GraphNode:
 
     def __post_init__(self) -> None:
         whole_number(self.submap_id, "submap")
-        freeze(self, "place", np.float64, (4, 4))
-        freeze(self, "uncorrected", np.float64, (4, 4))
-        freeze(self, "covariance_xy", np.float64, (2, 2))
+        freeze_all(self, np.float64, place=(4, 4), uncorrected=(4, 4), covariance_xy=(2, 2))
 
 
 EdgeKind = Literal["odometry", "loop"]

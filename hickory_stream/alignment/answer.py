@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.alignment.hypothesis import Hypothesis
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 
 # log10 of the expected false alarms above which an alignment is weak: unrelated rooms that look alike reach -2.2 in two
 # of 144 pairs, right alignments of such rooms -12 and less.
@@ -75,9 +75,7 @@ class Rival:
     margin: float
 
     def __post_init__(self) -> None:
-        freeze(self, "a_from_b", np.float64, (4, 4))
-        freeze(self, "covariance", np.float64, (6, 6))
-        freeze(self, "center_a", np.float64, (3,))
+        freeze_all(self, np.float64, a_from_b=(4, 4), covariance=(6, 6), center_a=(3,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -104,9 +102,7 @@ class Alignment:
     rivals: tuple[Rival, ...] = ()
 
     def __post_init__(self) -> None:
-        freeze(self, "a_from_b", np.float64, (4, 4))
-        freeze(self, "covariance", np.float64, (6, 6))
-        freeze(self, "center_a", np.float64, (3,))
+        freeze_all(self, np.float64, a_from_b=(4, 4), covariance=(6, 6), center_a=(3,))
 
     @property
     def is_weak(self) -> bool:

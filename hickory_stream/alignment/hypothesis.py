@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from hickory_stream.alignment.acceptance import Chance, log_expected_sets
 from hickory_stream.alignment.grouping import log_prices
 from hickory_stream.alignment.registration import registered
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.geometry.rigid import apply
 
 _ROUNDS = 8
@@ -36,8 +36,7 @@ class Hypothesis:
     def __post_init__(self) -> None:
         freeze(self, "a_from_b", np.float64, (4, 4))
         freeze(self, "pairs", np.int64, (None, 2))
-        freeze(self, "log_ranks", np.float64, (len(self.pairs),))
-        freeze(self, "residuals_m", np.float64, (len(self.pairs),))
+        freeze_all(self, np.float64, log_ranks=(len(self.pairs),), residuals_m=(len(self.pairs),))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

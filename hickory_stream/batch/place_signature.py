@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,9 +52,7 @@ class PlaceSignature:
     def __post_init__(self) -> None:
         freeze(self, "words", np.int64, (None,))
         count = len(self.words)
-        freeze(self, "bins", np.float32, (count, 2))
-        freeze(self, "yaw_rad", np.float32, (count,))
-        freeze(self, "places", np.float32, (count, 3))
+        freeze_all(self, np.float32, bins=(count, 2), yaw_rad=(count,), places=(count, 3))
 
     @property
     def num_bytes(self) -> int:

@@ -38,6 +38,12 @@ def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None,
     object.__setattr__(record, name, frozen_array(getattr(record, name), dtype, shape, label))
 
 
+def freeze_all(record: object, dtype: DTypeLike, **shapes: tuple[int | None, ...]) -> None:
+    """`freeze` array fields of one dtype, by their shapes."""
+    for name, shape in shapes.items():
+        freeze(record, name, dtype, shape)
+
+
 def check_array(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None, ...]) -> None:
     """Raise ValueError if a record's array is of another type or shape; the array stays (for `__post_init__`)."""
     label, array = f"{type(record).__name__}.{name}", getattr(record, name)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.arrays import freeze, read_only
+from hickory_stream.geometry.arrays import freeze_all, read_only
 from hickory_stream.geometry.portable_kernels import arctan2, cos, sin
 from hickory_stream.geometry.rigid import apply
 
@@ -36,8 +36,7 @@ class OrientedBox:
     half_extents_m: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        freeze(self, "world_from_box", np.float64, (4, 4))
-        freeze(self, "half_extents_m", np.float64, (3,))
+        freeze_all(self, np.float64, world_from_box=(4, 4), half_extents_m=(3,))
         if not (self.half_extents_m > 0).all():
             raise ValueError(f"half extents must be positive, found {self.half_extents_m}")
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import beta
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.geometry.portable_kernels import power
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, is_rigid
 
@@ -53,8 +53,7 @@ class Superquadrics:
     def __post_init__(self) -> None:
         freeze(self, "exponents", np.float64, (None, 2))
         count = len(self.exponents)
-        freeze(self, "semi_axes_m", np.float64, (count, 3))
-        freeze(self, "world_from_local", np.float64, (count, 4, 4))
+        freeze_all(self, np.float64, semi_axes_m=(count, 3), world_from_local=(count, 4, 4))
 
     def __len__(self) -> int:
         return len(self.exponents)

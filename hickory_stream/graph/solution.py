@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,8 +36,7 @@ class Solution:
     dof: int
 
     def __post_init__(self) -> None:
-        freeze(self, "world_from_node", np.float64, (None, 4, 4))
-        freeze(self, "loop_weights", np.float64, (None,))
+        freeze_all(self, np.float64, world_from_node=(None, 4, 4), loop_weights=(None,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

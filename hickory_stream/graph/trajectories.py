@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.records import PoseGraphRecord
 
@@ -21,8 +21,7 @@ class Ways:
     after: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        freeze(self, "before", np.float64, (None, 3))
-        freeze(self, "after", np.float64, (len(self.before), 3))
+        freeze_all(self, np.float64, before=(None, 3), after=(len(self.before), 3))
 
 
 def ways_of(graph: PoseGraphRecord, stamps_ns: Sequence[int], places_m: NDArray[np.float64]) -> Ways:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Alignment, NoAlignment
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.factors import tangent_covariance
 from hickory_stream.records import MapSnapshot
@@ -36,9 +36,7 @@ class Relation:
     strength: float
 
     def __post_init__(self) -> None:
-        freeze(self, "a_from_b", np.float64, (4, 4))
-        freeze(self, "covariance", np.float64, (6, 6))
-        freeze(self, "center_a", np.float64, (3,))
+        freeze_all(self, np.float64, a_from_b=(4, 4), covariance=(6, 6), center_a=(3,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

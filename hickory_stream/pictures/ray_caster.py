@@ -12,7 +12,7 @@ from typing import Literal, Protocol, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.pictures.open3d_import import import_open3d
 
 CasterName = Literal["embreex", "open3d"]
@@ -35,10 +35,8 @@ class Crossings:
     def __post_init__(self) -> None:
         count = len(self.t)
         freeze(self, "t", np.float32, (count,))
-        freeze(self, "geometry", np.uint32, (count,))
-        freeze(self, "triangle", np.uint32, (count,))
-        freeze(self, "uv", np.float32, (count, 2))
-        freeze(self, "normals", np.float32, (count, 3))
+        freeze_all(self, np.uint32, geometry=(count,), triangle=(count,))
+        freeze_all(self, np.float32, uv=(count, 2), normals=(count, 3))
 
 
 class RayCaster(Protocol):

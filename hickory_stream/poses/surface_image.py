@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 from hickory_stream.geometry.camera import Camera
 
 _RADIUS = 2
@@ -35,9 +35,7 @@ class SurfaceImage:
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
-        freeze(self, "points", np.float64, (*size, 3))
-        freeze(self, "normals", np.float64, (*size, 3))
-        freeze(self, "sigma_m", np.float64, size)
+        freeze_all(self, np.float64, points=(*size, 3), normals=(*size, 3), sigma_m=size)
 
 
 def surface_image(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.inspection.supports import supports_of
 from hickory_stream.mapping.rules.support_graph import Relation, Support
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
@@ -45,8 +45,7 @@ class Pairs:
     j: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        freeze(self, "i", np.int64, (None,))
-        freeze(self, "j", np.int64, (len(self.i),))
+        freeze_all(self, np.int64, i=(None,), j=(len(self.i),))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -82,11 +81,8 @@ class MapIndex:
         freeze(self, "ids", np.int64, (count,))
         for name in ("centers", "lows", "highs", "sides_m", "seen_from"):
             freeze(self, name, np.float64, (count, 3))
-        freeze(self, "bottom_m", np.float64, (count,))
-        freeze(self, "fixed", np.float64, (count,))
-        freeze(self, "colors", np.float64, (count, len(COLOR_NAMES)))
-        freeze(self, "shapes", np.float64, (count, len(SHAPE_WORDS)))
-        freeze(self, "levels_m2", np.float64, (count, NUM_LEVELS))
+        freeze_all(self, np.float64, bottom_m=(count,), fixed=(count,), colors=(count, len(COLOR_NAMES)))
+        freeze_all(self, np.float64, shapes=(count, len(SHAPE_WORDS)), levels_m2=(count, NUM_LEVELS))
         freeze(self, "held_by", np.int64, (count,))
         freeze(self, "is_at_wall", np.bool_, (count,))
 

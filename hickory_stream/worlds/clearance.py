@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.worlds.scene import World, part_boxes
 
@@ -28,8 +28,7 @@ class Clearance:
     origin_m: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        freeze(self, "distance_m", np.float64, (None, None))
-        freeze(self, "origin_m", np.float64, (2,))
+        freeze_all(self, np.float64, distance_m=(None, None), origin_m=(2,))
 
     def at(self, points: NDArray[Any]) -> NDArray[np.float64]:
         """Return the clearance at (..., 2) points, 0 outside the grid."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.pictures.ray_caster import CasterName, Crossings, ray_caster
@@ -49,8 +49,7 @@ class Rendered:
         freeze(self, "depth_m", np.float32, size)
         freeze(self, "instances", np.uint16, size)
         freeze(self, "cosine", np.float32, size)
-        freeze(self, "is_structure", np.bool_, size)
-        freeze(self, "is_blind", np.bool_, size)
+        freeze_all(self, np.bool_, is_structure=size, is_blind=size)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, freeze_all
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.rendering import Rendered, Renderer
 
@@ -109,8 +109,7 @@ class Shot:
     def __post_init__(self) -> None:
         size = self.instances.shape
         freeze(self, "rgb", np.uint8, (*size, 3))
-        freeze(self, "depth_m", np.float32, (None, None))
-        freeze(self, "exact_depth_m", np.float32, size)
+        freeze_all(self, np.float32, depth_m=(None, None), exact_depth_m=size)
         freeze(self, "instances", np.uint16, size)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze_all
 from hickory_stream.geometry.rigid import from_rotation_translation, interpolate
 from hickory_stream.worlds.clearance import clearance_of
 from hickory_stream.worlds.scene import World
@@ -135,8 +135,7 @@ class Trajectory:
     world_from_camera: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        freeze(self, "times_s", np.float64, (None,))
-        freeze(self, "world_from_camera", np.float64, (len(self.times_s), 4, 4))
+        freeze_all(self, np.float64, times_s=(None,), world_from_camera=(len(self.times_s), 4, 4))
 
     def pose_at(self, time_s: float) -> NDArray[np.float64]:
         """Return `world_from_camera` at a time within the walk."""
