@@ -399,21 +399,24 @@ def _scale_of(seen: _Seen, track: _Track, fit: _Fit) -> tuple[float | None, floa
     chosen = fit.agrees & (moved_m > _MOVES_M)
     if chosen.sum() < _LEAST_TRANSLATIONS:
         return None, None
-    # Where the poses are those of a place l beside the camera, seen / scale = shift + (turn - 1) l: linear in 1 / scale
-    # and l, which few robots state.
+    # Where the poses are those of a place l beside the camera, seen = scale (shift + (turn - 1) l): linear in scale and
+    # in scale l, which few robots state. The noise is that of what was seen.
     turned, shifts = Rotation.from_rotvec(turns[chosen]).as_matrix() - np.eye(3), shifts[chosen]
-    rows = np.concatenate([(seen.shifts[chosen] @ fit.axes.T)[:, :, None], -turned], axis=2)
-    sigma_m, prior = 0.004 + 0.05 * moved_m[chosen], np.diag([0.0, *[_UNSTATED_M**-2] * 3])
-    weights = sigma_m**-2
+    shown, moved_m = seen.shifts[chosen] @ fit.axes.T, moved_m[chosen]
+    rows = np.concatenate([shifts[:, :, None], turned], axis=2)
+    scale, weights = float(np.median((shown * shifts).sum(axis=1) / moved_m**2)), np.ones(len(shown))
     for _ in range(_ROUNDS):
-        information = np.einsum("nij,n,nik->jk", rows, weights, rows) + prior
-        found = np.linalg.solve(information, np.einsum("nij,n,ni->j", rows, weights, shifts))
-        off = np.linalg.norm(rows @ found - shifts, axis=1) / sigma_m
+        if scale <= 0:
+            return None, None
+        sigma_m, prior = scale * (0.004 + 0.05 * moved_m), np.diag([0.0, *[(_UNSTATED_M * scale) ** -2] * 3])
+        information = np.einsum("nij,n,nik->jk", rows, weights * sigma_m**-2, rows) + prior
+        found = np.linalg.solve(information, np.einsum("nij,n,ni->j", rows, weights * sigma_m**-2, shown))
+        off, scale = np.linalg.norm(rows @ found - shown, axis=1) / sigma_m, float(found[0])
         # The median of the length of three normal numbers is 1.54 sigma; Huber's weights.
         spread = max(float(np.median(off)) / 1.54, _LEAST_SPREAD)
-        weights = np.minimum(1.0, 1.5 * 1.54 * spread / np.maximum(off, 1e-9)) / (spread * sigma_m) ** 2
-    error = np.sqrt(np.linalg.inv(information)[0, 0]) / found[0]
-    return round(1.0 / float(found[0]), 4), round(3.0 * float(np.hypot(error, _SCALE_ERROR)), 4)
+        weights = np.minimum(1.0, 1.5 * 1.54 * spread / np.maximum(off, 1e-9)) / spread**2
+    error = np.sqrt(np.linalg.inv(information)[0, 0]) / scale
+    return round(scale, 4), round(3.0 * float(np.hypot(error, _SCALE_ERROR)), 4)
 
 
 def _lag_of(seen: _Seen, track: _Track, axes: Matrix) -> tuple[float | None, float | None]:
