@@ -78,6 +78,7 @@ def outcome_of(task: LogTask) -> LogOutcome:
 
 
 def _is_begun(task: LogTask) -> bool:
+    # A map that cannot be resumed is removed.
     from hickory_stream.map_folder.manifest import MANIFEST, read_manifest
 
     if not (task.out / MANIFEST).is_file():

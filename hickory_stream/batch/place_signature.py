@@ -89,6 +89,9 @@ def _num_ways(a: PlaceSignature, b: PlaceSignature) -> float:
     return turns * max(1.0, reach / _PLACE_BIN_M) ** 2 * max(1.0, height / _PLACE_BIN_M)
 
 
+# ---- words ----------------------------------------------------------------------------------------------------------
+
+
 def _looks(maps: Sequence[ObjectMap]) -> list[NDArray[np.int64]]:
     # For each map the looks (N,) of its objects: signs along the main directions of all features; all equal without
     # features, or with different extractors.
@@ -136,6 +139,9 @@ def _signature(objects: ObjectMap, looks: NDArray[np.int64]) -> PlaceSignature:
 
 def _words(kinds: NDArray[np.int64], bins: NDArray[np.int64]) -> NDArray[np.int64]:
     return (kinds * 64 + bins[:, 0]) * 256 + np.clip(bins[:, 1] + 128, 0, 255)
+
+
+# ---- how many agree -------------------------------------------------------------------------------------------------
 
 
 class _Index:

@@ -10,6 +10,7 @@ from typing import Any
 
 from hickory_stream.cli.examples import TEXTS
 
+# Exit statuses.
 STOPPED = 130
 NO_ALIGNMENT = 3
 NO_PATH = 3
@@ -55,6 +56,7 @@ class Commands:
             help=text[0].lower() + re.split(r"[.:;](?: |$)", text[1:])[0],
             description=fill(text),
             epilog=f"example:\n  hickory-stream {example}",
+            # An example is one line, to be copied.
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.set_defaults(**defaults)

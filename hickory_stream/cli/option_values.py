@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from pathlib import Path
@@ -12,6 +11,8 @@ from hickory_stream.errors import ConfigError, InputError, MapFolderError
 from hickory_stream.textures import LEAST_TEXTURE_PX, MOST_TEXTURE_PX
 
 if TYPE_CHECKING:
+    import argparse
+
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.progress import Style

@@ -41,6 +41,7 @@ _GROUPS = {
     "maintain": (reconstruct, models, generators, cache, config, schema, completion),
 }
 
+# Commands and options of earlier releases.
 _MOVED = {
     "evaluate-views": "`paper views` in the folder tools of the source tree",
     "evaluate-alignment": "`paper alignment` in the folder tools of the source tree",
@@ -82,6 +83,7 @@ def _meant(word: str, names: Sequence[str]) -> str:
 
 
 class _Overview(argparse.HelpFormatter):
+    # Lists the commands by group.
     def _format_action(self, action: argparse.Action) -> str:
         if not isinstance(action, argparse._SubParsersAction):
             return super()._format_action(action)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,8 @@ from hickory_stream.cli.option_values import parse_nanoseconds
 from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:
+    import argparse
+
     from players import SourceOptions
 
 

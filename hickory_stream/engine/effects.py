@@ -35,6 +35,7 @@ from hickory_stream.perception.perceive import features_of
 from hickory_stream.ports import Crop, FeatureExtractor
 from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
 
+# Quality of the kept images where the log has none.
 _JPEG_QUALITY = 80
 
 
@@ -127,7 +128,7 @@ class EffectRunner:
         left: list[Effect] = []
         asked: Event | None = event
         while asked is not None:
-            self._to.steps.unwritten.events.append(asked)
+            self._to.steps.add_event(asked)
             effects = await on_thread(self._mapping_thread, self.core.handle, asked)
             asked = None
             # Pixels first: a job may need them.
@@ -151,7 +152,7 @@ class EffectRunner:
                 case KeepView() | ComputeFeatures() | Publish():
                     pass
                 case DropView():
-                    self._to.steps.unwritten.dropped_views.append(effect.name)
+                    self._to.steps.drop_view(effect.name)
                 case RequestShape():
                     await self._to.recorder.written()
                     await self._to.shapes.request(effect)
@@ -159,7 +160,7 @@ class EffectRunner:
                     self._to.loops.request(effect)
                 case CancelShape():
                     self._to.shapes.cancel(effect.ticket)
-                    self._to.steps.unwritten.ended_jobs.append(effect.ticket)
+                    self._to.steps.end_job(effect.ticket)
                 case _:
                     assert_never(effect)
 
@@ -182,7 +183,7 @@ class EffectRunner:
                 crop = crop_of(frame, observations[keep.observation_index], self._config.crop_margin)
                 write_crop(views, keep.view.name, crop, self._config)
 
-        await self._to.recorder.begin(write)
+        await self._to.recorder.write_views(write)
 
 
 class GraceExpired(Exception):
@@ -222,11 +223,12 @@ class DueShapes:
 
     async def _ended(self, event: ShapeReady | ShapeFailed) -> None:
         await self._effects.handle(event)
-        self._to.steps.unwritten.ended_jobs.append(event.ticket)
+        self._to.steps.end_job(event.ticket)
         if isinstance(event, ShapeReady):
             self._to.folder.keep_shape(event.shape.mesh_name)
 
     async def _next(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
+        # None also where a stop leaves no time for the next shape.
         if self._mode == "live" and stamp_ns is not None:
             return await self._to.shapes.next_arrived(stamp_ns)
         return await self._stop.within_grace(self._to.shapes.next_due(stamp_ns), "next-shape", self._grace_s)

@@ -43,6 +43,7 @@ async def compile_kernels(
     """
     if await asyncio.to_thread(are_compiled):
         return None
+    # Its imports are needed only here.
     from hickory_stream.engine.warm_up import PARTS
 
     total = sum(text.count(_DECORATOR) for text in (file.read_text(encoding="utf-8") for file in _files()))
@@ -116,6 +117,7 @@ def _note_compiled() -> None:
 
 @cache
 def _mark() -> str:
+    # An empty file of this name says that all kernels of this code and processor are compiled.
     host = (llvmlite.binding.get_host_cpu_name(), sorted(llvmlite.binding.get_host_cpu_features().items()))
     processor = (*host, numba.config.CPU_NAME, numba.config.CPU_FEATURES)
     digest = hashlib.sha256(repr(processor).encode())

@@ -110,6 +110,7 @@ class KeyframeChoice:
             raw = reads[chosen].raw
             self._mapped = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
             if not reads[chosen].is_candidate:
+                # It replaces the newest candidate.
                 dropped = dropped[:-1]
         outcomes = [FrameOutcome.DROPPED if i in dropped else FrameOutcome.BETWEEN for i in range(len(reads))]
         if chosen is not None:

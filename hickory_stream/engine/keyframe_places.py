@@ -15,6 +15,7 @@ from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.poses.surface_image import SurfaceImage, surface_image
 from hickory_stream.records import Frame
 
+# Returns with a greater sigma of depth are not used.
 _MAX_DEPTH_SIGMA_M = 0.1
 
 

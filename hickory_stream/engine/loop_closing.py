@@ -119,6 +119,7 @@ class LoopCloser:
 
 
 def _accepted(core: MapperCore) -> list[int]:
+    # Every loop that any solution so far has believed.
     edges = () if core.graph is None else core.graph.loops
     believed = {(edge.earlier, edge.later) for edge in edges if edge.status in ("accepted", "withdrawn")}
     return [i for i, loop in enumerate(core.loops) if (loop.earlier, loop.later) in believed]

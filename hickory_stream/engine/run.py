@@ -253,7 +253,7 @@ class Run:
             counts["pose_jumps"] += 1
             self._registrar.places.jumped()
             await self._effects.handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
-        self._steps.unwritten.frames.append(self._clock.advance(read))
+        self._steps.add_frame(self._clock.advance(read))
 
     async def _rewind(self, stamp_ns: int) -> None:
         self._clock.counts["rewinds"] += 1

@@ -67,6 +67,10 @@ class Recorder:
         self._thread = ThreadPoolExecutor(1, "write")
         self._writing: asyncio.Future[None] | None = None
 
+    async def write_views(self, write: Callable[[], None]) -> None:
+        """Write the pixels of views."""
+        await self._begin(write)
+
     async def commit(
         self,
         entry: JournalEntry,
@@ -88,7 +92,7 @@ class Recorder:
                 self._folder.drop_view(name)
             shapes.forget(ended_jobs)
 
-        await self.begin(write)
+        await self._begin(write)
 
     async def written(self) -> None:
         """Return when everything is written."""
@@ -100,8 +104,7 @@ class Recorder:
         """Wait for the thread to end."""
         self._thread.shutdown(wait=True)
 
-    async def begin(self, write: Callable[[], None]) -> None:
-        """Begin to write, e.g. the pixels of views."""
+    async def _begin(self, write: Callable[[], None]) -> None:
         await self.written()
         self._writing = asyncio.get_running_loop().run_in_executor(self._thread, write)
         # A run that ends for another reason ignores its failure.
@@ -119,16 +122,32 @@ class StepWriter:
         self._shapes = shapes
         self._source = source
         self._checkpoints = CheckpointTimes(checkpoint_keyframes)
-        self.unwritten = Unwritten()
+        self._unwritten = Unwritten()
+
+    def add_frame(self, frame: FramePose) -> None:
+        """Add a frame."""
+        self._unwritten.frames.append(frame)
+
+    def add_event(self, event: Event) -> None:
+        """Add an event."""
+        self._unwritten.events.append(event)
 
     def add_published(self, published: Publish) -> None:
         """Add the core's decisions."""
         submap_id = published.snapshot.submaps[-1].id
-        self.unwritten.told = Told(decisions=published.decisions, submap_id=submap_id)
+        self._unwritten.told = Told(decisions=published.decisions, submap_id=submap_id)
+
+    def drop_view(self, name: str) -> None:
+        """Remove the pixels of a view after the step."""
+        self._unwritten.dropped_views.append(name)
+
+    def end_job(self, ticket: int) -> None:
+        """Remove the folder of a finished job after the step."""
+        self._unwritten.ended_jobs.append(ticket)
 
     def rewind(self, rewound: Rewound, given_up: list[int]) -> None:
         """Discard unwritten events; the next step records from which step the core continues."""
-        done = self.unwritten
+        done = self._unwritten
         done.events.clear()
         done.goes_back_to, done.lost_views = rewound.num_steps, rewound.lost_views
         kept = rewound.core.view_names()
@@ -148,7 +167,7 @@ class StepWriter:
     ) -> None:
         """Write everything since the last step as one step; after a keyframe also a checkpoint if one is due."""
         assert clock.camera is not None and clock.first_ns is not None
-        done, self.unwritten = self.unwritten, Unwritten()
+        done, self._unwritten = self._unwritten, Unwritten()
         step = Step(
             kind=kind,
             stamp_ns=stamp_ns,

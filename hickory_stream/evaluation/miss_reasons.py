@@ -70,6 +70,7 @@ _REASON_OF: dict[State, MissReason] = {
     "in no mask": "in no mask",
 }
 _HALF = 0.5
+# An object that covers this share of a missed true object has absorbed it.
 _SWALLOWED = 0.3
 _EXTENT_SLACK_M, _EXTENT_SLACK = 0.03, 0.1
 

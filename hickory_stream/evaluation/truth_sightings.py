@@ -23,6 +23,7 @@ from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorde
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import MapSnapshot
 
+# Parts of a true object that are a smaller share of it than this are not reported.
 _LEAST_PART = 0.02
 _LEAST_OTHER = 0.05
 # This quantile of the mask sizes of a run is its detection limit: smaller objects are "too small".

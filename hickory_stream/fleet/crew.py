@@ -136,6 +136,7 @@ def _signals_held() -> Iterator[None]:
 
 
 class _Signals:
+    # While entered, the first signal stops a crew, the second raises `KeyboardInterrupt`.
     def __init__(self, crew: _Crew) -> None:
         self._crew = crew
         self._count = 0

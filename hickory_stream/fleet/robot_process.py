@@ -86,6 +86,7 @@ class _Link:
         self._lock = threading.Lock()
 
     def send(self, message: Message) -> None:
+        # Raises `BrokenPipeError` when the fleet has gone.
         with self._lock:
             self._connection.send(message)
 

@@ -246,6 +246,8 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
     )
 
 
+# ---- text -----------------------------------------------------------------------------------------------------------
+
 _PLACE_HEADER = ("id", "kind", "phase", "sighted", "layers", "x m", "y m", "z m", "yaw deg", "size m", "litres",
                  "color", "held by")  # fmt: skip
 _OBJECT_HEADER = ("id", "submap", "placed by", "views", *LAYER_NAMES, "outside")

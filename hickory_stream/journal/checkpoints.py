@@ -134,6 +134,7 @@ class _Marks:
 def _solid_marks(cloud: Cloud, solid: Cloud) -> NDArray[np.bool_] | None:
     if solid is cloud or len(solid.keys) == 0:
         return None
+    # Keys are sorted.
     places = np.minimum(np.searchsorted(solid.keys, cloud.keys), len(solid.keys) - 1)
     marked = solid.keys[places] == cloud.keys
     return frozen_array(marked, "?", (None,), "marks") if _is_same(without(cloud, ~marked), solid) else None

@@ -53,6 +53,7 @@ def messages_in(records: memoryview) -> list[FileMessage]:
 
 
 def _places_in(records: bytes | memoryview) -> Iterator[tuple[int, int, int, int]]:
+    # Start, end, channel and stamp of each message.
     at = 0
     while at < len(records):
         if at + _RECORD.size > len(records):
@@ -234,6 +235,7 @@ def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
 
 
 def _records(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
+    # (kind, start of the content, end) of each record.
     at = len(MAGIC)
     while at + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, at)

@@ -139,6 +139,11 @@ class JournalChunks:
         return MapFolderError(f"{self.path} is damaged at byte {place.start}: {error}; play the log again")
 
 
+def packed_array(encoded: bytes) -> bytes:
+    """Return an encoded array for a chunk of arrays."""
+    return zstandard.compress(encoded)
+
+
 def unpacked_array(data: bytes | memoryview) -> bytes:
     """Return the encoded array. Raises `ValueError`: it is damaged."""
     try:
@@ -156,6 +161,7 @@ def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
 
 
 class _Cache:
+    # Few and small chunks; always the last one.
     def __init__(self) -> None:
         self._chunks: OrderedDict[int, tuple[list[FileMessage], int]] = OrderedDict()
         self._num_bytes = 0

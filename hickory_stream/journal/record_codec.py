@@ -143,6 +143,7 @@ def _plain(value: Any, parts: PartStore | None) -> Any:
     if isinstance(value, np.ndarray):
         if parts is None or value.nbytes < _PART_BYTES:
             return _array_tag(value)
+        # With its length, which is often needed without the content.
         return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
     if kind is tuple or kind is list:
         return [item if type(item) in _AS_IS else _plain(item, parts) for item in value]

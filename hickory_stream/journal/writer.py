@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import zstandard
 from numpy.typing import NDArray
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync
@@ -27,7 +26,7 @@ from hickory_stream.journal import mcap_file
 from hickory_stream.journal.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.journal.format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, JOURNAL, KNOWN, STEP, TOLD
 from hickory_stream.journal.packed_frames import packed_frame
-from hickory_stream.journal.reader import Journal, StoredPart
+from hickory_stream.journal.reader import Journal, StoredPart, packed_array
 from hickory_stream.journal.record_codec import encode
 from hickory_stream.journal.snapshot_records import SnapshotRecords
 from hickory_stream.journal.step import Checkpoint, JournalEntry
@@ -225,7 +224,7 @@ class _Parts:
         known = self._used_contents.get(content) or self._contents.get(content)
         if known is not None:
             return known
-        self._arrays.append(zstandard.compress(encoded()))
+        self._arrays.append(packed_array(encoded()))
         return self._chunk, len(self._arrays)
 
     def _use(self, stored: _Stored) -> None:

@@ -171,6 +171,7 @@ def has_named_content(name: str, data: bytes) -> bool:
 
 
 def _check_ids(what: str, ids: list[int]) -> None:
+    # Ascending, without duplicates.
     if any(a >= b for a, b in itertools.pairwise(ids)):
         raise ValueError(f"the ids of {what}s are not in ascending order: {ids[:10]}")
 
@@ -348,6 +349,7 @@ _WHOLE_SHAPE = record_form(ObjectShape, {
     "fitted": _BODIES, "inflated": _BODIES, "seen_share": _ARRAY, "containment": _CONTAINMENT, "verdict": TEXT,
     "fit_kind": TEXT,
 })  # fmt: skip
+# Left out of the document.
 _USUAL = {"verdict": "", "fit_kind": "solid"}
 _SHAPE = Form(_written_shape, lambda entry: _WHOLE_SHAPE.read(_USUAL | entry))
 _OBJECT = record_form(TrackedObject, {

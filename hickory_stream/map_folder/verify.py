@@ -213,6 +213,7 @@ def _where_it_was_made(
 
 
 def _configured_margin_m(saved: SavedMap) -> float | None:
+    # None where the configuration is unknown.
     try:
         return recorded_config(saved.folder).shapes.inflate.r_safe_m
     except MapFolderError:

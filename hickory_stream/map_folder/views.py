@@ -87,6 +87,7 @@ def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int
 
 
 def _png_size(data: bytes) -> tuple[int, int]:
+    # Checks the checksums, too.
     if len(data) < 24 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError("it is no PNG")
     at, kind = 8, b""
@@ -200,6 +201,7 @@ def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
 
 
 def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    # 0 = no return.
     with np.errstate(invalid="ignore", over="ignore"):
         millimetres = np.rint(depth_m * np.float32(1000))
         return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)

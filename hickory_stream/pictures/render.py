@@ -95,6 +95,9 @@ def render_map(
     return image
 
 
+# ---- what to draw ---------------------------------------------------------------------------------------------------
+
+
 def _model(saved: SavedMap, storey: Storey, dots: list[Dots], layers: AbstractSet[int], texture_px: int) -> Model:
     solid, translucent = _surfaces(saved, storey.objects, layers, texture_px)
     return Model(
@@ -170,6 +173,9 @@ def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> 
     of_all = f" of {num_floors}, --floor draws one" if num_floors > len(storeys) else ""
     text = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
     return f"{name}    {number_of_kinds(objects)}{text}    layer {shown}"
+
+
+# ---- one panel ------------------------------------------------------------------------------------------------------
 
 
 def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> NDArray[np.uint8]:

@@ -58,6 +58,7 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
     bounds_a, bounds_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
     both = np.concatenate([bounds_a, bounds_b])
     floor = floor_around(both, float(both[:, 2].min()))
+    # Overlaid: map b is translucent.
     over = Model(
         solid=_surfaces(map_a, np.eye(4), in_a, BLUE),
         translucent=_surfaces(map_b, answer.a_from_b, in_b, ORANGE),

@@ -77,6 +77,7 @@ class Model:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Seen:
+    # First hits of each kind of surface at the same places.
     solid: Hits
     walls: Hits
     glass: Hits
@@ -158,6 +159,9 @@ def _lit(
     return np.asarray(colors * light[:, None])
 
 
+# ---- the floor ------------------------------------------------------------------------------------------------------
+
+
 def _floor_distance(floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.float32]:
     down = directions[:, 2] < -1e-6
     distance = (floor.z_m - origins[:, 2]) / np.where(down, directions[:, 2], -1.0)
@@ -197,6 +201,9 @@ def _wall_weight(
     )
     fading = np.where(directions[:, 2] < -0.99, 0.9, np.clip(1 - height_m / 2.2, 0.1, 1))
     return np.asarray((np.isfinite(walls.distance_m) * fading)[:, None], dtype=np.float32)
+
+
+# ---- shade ----------------------------------------------------------------------------------------------------------
 
 
 def _shade_of(scene: Scene, floor: Floor, viewpoint: Viewpoint) -> NDArray[np.float32]:

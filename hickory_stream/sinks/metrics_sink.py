@@ -44,6 +44,7 @@ class MetricsSink:
     def __init__(self, port: int, bind: str = "127.0.0.1") -> None:
         if not 0 <= port <= _MOST:
             raise InputError(f"found --metrics-port {port}, expected 1 to {_MOST}, or 0 for any that is free")
+        # Imported here: most runs have no metrics.
         from prometheus_client import CollectorRegistry, Counter, Gauge, start_http_server
 
         registry = CollectorRegistry()

@@ -232,6 +232,7 @@ class PublishSink:
             self._costmap.begin_again()
 
     def _goals_put(self, data: bytes | None) -> None:
+        # Of too many goals the oldest are dropped.
         while True:
             try:
                 self._goals.put_nowait(data)

@@ -74,6 +74,7 @@ def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list
     placed = [table]
     chair_seed = int(rng.integers(2**31))
     for side, y in ((-1, -0.3), (-1, 0.3), (1, float(rng.uniform(-0.25, 0.25)))):
+        # The chairs of one table are equal.
         model = furniture.chair(np.random.default_rng(chair_seed))
         out = edge + float(rng.uniform(0.14, 0.26)) + float(model.bounds_m()[0, 0])
         yaw = (0.0 if side < 0 else np.pi) + float(rng.uniform(-0.08, 0.08))

@@ -102,6 +102,7 @@ class Placement:
         return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in near)
 
     def _may_touch(self, other: Placement, margin_m: float) -> bool:
+        # Whether the spheres around both overlap: a test before anything is computed of parts.
         (mine, reach), (theirs, their_reach) = _sphere(self.model), _sphere(other.model)
         gap = apply(self.world_from_object, mine) - apply(other.world_from_object, theirs)
         # The margin widens every part to both sides.
@@ -110,6 +111,7 @@ class Placement:
 
 @lru_cache(maxsize=4096)
 def _sphere(model: Model) -> tuple[NDArray[np.float64], float]:
+    # Centre (1, 3) and radius.
     lower, upper = model.bounds_m()
     return ((lower + upper) / 2)[None], float(np.linalg.norm(upper - lower)) / 2
 

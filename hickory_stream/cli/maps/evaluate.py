@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,8 @@ from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
+    import argparse
+
     from hickory_stream.cli.commands import Commands
     from hickory_stream.evaluation.match import TrueBox
 

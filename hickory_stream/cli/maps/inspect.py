@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +12,8 @@ from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
+    import argparse
+
     from hickory_stream.cli.commands import Commands
     from hickory_stream.inspection.inspect import SortBy
 

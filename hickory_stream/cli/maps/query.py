@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,8 @@ from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
+    import argparse
+
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.query.answers import Answer, Answers
     from hickory_stream.query.looks import ObjectLooks
@@ -71,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _network_name(model: str | None) -> tuple[str | None, str]:
+    # The image-text network to use, or why there is none.
     from hickory_stream.perception.models.library import models_folder, read_manifest
 
     there = [entry.name for entry in read_manifest(models_folder()).values() if entry.kind == "image-text"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,8 @@ from hickory_stream.cli.commands import NOT_SOUND, Commands
 from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
+    import argparse
+
     from hickory_stream.map_folder.verify import Verdict
 
 

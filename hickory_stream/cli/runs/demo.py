@@ -54,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make_room(folder: Path, *, is_overwritten: bool) -> None:
+    # Removes the parts of an earlier demo if permitted, and no other file.
     there = [folder / name for name in _PARTS if (folder / name).exists()]
     if there and not is_overwritten:
         raise InputError(f"{there[0]} exists; replace it with --overwrite, or choose another --out")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 import threading
@@ -21,6 +20,8 @@ from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
+    import argparse
+
     from hickory_stream.cli.commands import Commands
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.sinks.publish_sink import PublishSink
@@ -204,6 +205,7 @@ def _say(text: str, *, as_json: bool) -> None:
 
 
 class _StatusPrinter:
+    # While entered, writes the table of topics to standard error at intervals and at the end.
     def __init__(self, source: LiveMapSource, every_s: float, *, as_json: bool) -> None:
         self._source = source
         self._every_s = every_s

@@ -91,6 +91,7 @@ def press(clock: PlaybackClock, keys: bytes) -> None:
             clock.set_rate(_RATES[min(max(place + step, 0), len(_RATES) - 1)])
 
 
+# Options of a single log with their defaults; a fleet refuses them.
 _OF_ONE_LOG = {
     "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "inject": None, "frames": None, "rrd": None,
     "costmap": None, "metrics_port": None, "profile": None, "odometry": "auto", "poses": None, "pose_topic": None,
@@ -175,6 +176,7 @@ def run(options: argparse.Namespace) -> int:
     )
     clock = PlaybackClock(rate)
     source = open_from_note(note, clock, settings.mapper.keyframes)
+    # Before an existing map is replaced.
     reasons = check_motion(source, note, anyway=options.anyway)
     sys.stderr.writelines(f"warning: {reason}\n" for reason in reasons)
     out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")

@@ -92,6 +92,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
 
 
 def _looks(out: Path, rrd: Path | None) -> list[str]:
+    # The next commands for a map: a table, a picture and the run on a timeline.
     name, picture, timeline = (
         shlex.quote(str(p)) for p in (out, out.with_suffix(".png"), rrd or out.with_suffix(".rrd"))
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
@@ -13,6 +12,8 @@ from hickory_stream.errors import ModelError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
+    import argparse
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from hickory_stream.perception.models.network import Network
     from hickory_stream.perception.perceive import PerceptionConfig
 
+# Texts of `check` for the built-in picture.
 _TEXTS = ("a photo of a cup of coffee.", "a photo of a dog.")
 
 

@@ -193,5 +193,6 @@ def _read(folder: Path) -> dict[str, bytes]:
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    # The result comes last; other files of a worker are ignored.
     for name in sorted({MESH, RESULT} & files.keys()):
         write_atomically(folder / name, files[name], sync=False)

@@ -75,6 +75,7 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
     with outside_errors():
         sources = [path_within(views, file.name) for view in request.views for file in crop_files(views, view.name)]
     with disk_errors(folder):
+        # What a run left here that was killed and is continued.
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         for source in sources:

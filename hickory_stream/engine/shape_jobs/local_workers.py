@@ -121,6 +121,7 @@ class LocalWorkers:
         self._num_open -= 1
 
     async def _serve(self) -> None:
+        # A child that dies, hangs or grows is replaced, and its job tried again.
         child: _Child | None = None
         try:
             while True:
@@ -179,6 +180,7 @@ class _Child:
                 *(python, "-m", "hickory_stream.engine.shape_jobs.worker"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
+                # The same caches as ours, wherever they are.
                 env={**os.environ, **_ENVIRONMENT, **environment, "HICKORY_CACHE": str(cache_root())},
                 # A group of its own: Ctrl-C is for the run, which then ends its workers in order.
                 start_new_session=True,

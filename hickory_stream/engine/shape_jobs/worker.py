@@ -31,6 +31,7 @@ def main() -> None:
     jobs: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
     if not are_compiled():
+        # Its imports are needed only here.
         from hickory_stream.engine.warm_up import warm_up
 
         warm_up()

@@ -17,6 +17,7 @@ from hickory_stream.geometry.rigid import rotation_angle_rad
 from hickory_stream.journal.reader import Journal
 from hickory_stream.records import CoarseFrame
 
+# More than half of the keyframes are most.
 _MOST = 0.5
 
 

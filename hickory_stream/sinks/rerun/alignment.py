@@ -54,6 +54,7 @@ def _log_joined(
     in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
     corners_a, corners_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
     both = np.concatenate([corners_a, corners_b])
+    # As high as shows both.
     lift_m = 0.4 * float(np.ptp(both[:, :2], axis=0).max()) + float(np.ptp(both[:, 2]))
     lifted = from_rotation_translation(np.eye(3), np.array([0.0, 0.0, lift_m])) @ answer.a_from_b
     _log_map(stream, "world/joined/a", map_a, np.eye(4), BLUE, in_a, _ALPHA)

@@ -20,6 +20,7 @@ from hickory_stream.sinks.rerun.labels import CAMERA_COLOR, DOUBTED, label_size
 
 CAMERA = "world/camera"
 TRAJECTORY = "world/trajectory"
+# Class ids of masks: object ids, and this for an observation that went to no object.
 _UNASSIGNED = 65535
 _MILLIMETRES = 1000.0
 _SEGMENT_LENGTH = 64

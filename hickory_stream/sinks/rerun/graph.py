@@ -97,6 +97,7 @@ def _label(loop: GraphEdge) -> str:
 
 
 def _numbers(graph: PoseGraphRecord) -> list[LogItem]:
+    # Residuals of accepted loops, uncertainty, and displacement of moved submaps.
     believed = [loop for loop in graph.loops if loop.status == "accepted"]
     moves = [float(np.linalg.norm(node.place[:3, 3] - node.uncorrected[:3, 3])) for node in graph.nodes]
     values = {

@@ -38,6 +38,7 @@ BACKGROUND = (22, 25, 31)
 # Of a label, as shares of the height of the main view: 24 pixels of 670.
 _HEIGHT, _WIDTH, _WIDTH_PER_LETTER = 0.036, 0.015, 0.012
 _GAP = 0.01
+# A label that would move by less stays where it is.
 _STILL_M = 0.02
 
 

@@ -27,6 +27,7 @@ POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
 # Filled boxes; the layout hides them, since they veil their content.
 FILLED = "world/filled"
 _INFLATED_ALPHA = 96
+# Sketches are drawn as lightly.
 _SKETCH_ALPHA = 112
 _FADED = {Phase.TENTATIVE: 0.45, Phase.ACTIVE: 1.0, Phase.DORMANT: 0.75, Phase.ARCHIVED: 0.55}
 

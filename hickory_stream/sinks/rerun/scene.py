@@ -29,6 +29,7 @@ from hickory_stream.sinks.rerun.plots import Plots, decision_items
 from hickory_stream.sinks.rerun.structure import Structure
 from hickory_stream.sinks.rerun.views import BestViews
 
+# A growing cloud is logged at most this often.
 _CLOUD_PERIOD_S = 1.0
 
 

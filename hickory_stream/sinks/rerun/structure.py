@@ -22,6 +22,7 @@ from hickory_stream.sinks.rerun.meshes import mesh_of_surface
 FLOOR, WALLS = "world/structure/floor", "world/structure/walls"
 _MAX_POINTS = _MAX_FACES = 20_000
 _FLOOR_BAND_M = 0.10
+# Logged again when so much larger, or after so many keyframes.
 _GROWTH, _MOST_KEYFRAMES = 1.5, 20
 _NONE = np.zeros((0, 3), np.float32)
 

@@ -150,6 +150,7 @@ class GeneratorProcess:
 
 
 def _read(child: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
+    # An empty line is the end.
     assert child.stdout is not None
     with contextlib.suppress(OSError, ValueError):
         while line := child.stdout.readline(_MOST_LINE):
