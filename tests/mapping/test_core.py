@@ -138,12 +138,12 @@ def test_time_of_observation_confirms_at_every_keyframe_rate():
     assert {hz: confirmed(hz) for hz in (1, 2, 4)} == {hz: {0: 6 * hz + 1, 1: 2 * hz + 1} for hz in (1, 2, 4)}
 
 
-def test_time_counts_by_the_share_of_the_outline_that_is_drawn():
+def test_time_counts_by_how_closed_the_outline_is():
     core = MapperCore(CONFIG)
     for i in range(4):
-        drive(core, [frame(i, observation(0, A), replace(observation(1, B), drawn=0.25))])
+        drive(core, [frame(i, observation(0, A), replace(observation(1, B), drawn=0.8))])
     assert [item.phase for item in core.snapshot().objects] == [Phase.ACTIVE, Phase.TENTATIVE]
-    drive(core, [frame(4, replace(observation(0, B), drawn=0.5))])
+    drive(core, [frame(4, observation(0, B))])
     assert by_id(core.snapshot())[2].phase == Phase.ACTIVE
 
 

@@ -40,9 +40,6 @@ Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 _LOOK_NS = 500_000_000
 # An observation's points are not fused where they lie on another track with at least this many sightings.
 _NEIGHBOR_SIGHTINGS = 2
-# Masks with a smaller share of their outline drawn are less often right: 0.3 to 0.5 of them on a campus, 0.5 to 0.7
-# above it; in a home 0.7 to 0.8 of them, however large the share is above it.
-_DRAWN = 0.5
 # A part that is thinner, or less than twice that wide, is a rim or a board of its host.
 _MIN_SIZE_M = 0.025
 
@@ -140,7 +137,10 @@ class Tracker:
         track = replace(track, seen_through_ns=0, seen_in=state.submaps.open_id)
         own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
         track = grown(track, own, sightings, self._config.voxels.object_m)
-        seen_ns = round(min(1.0, observation.drawn / _DRAWN) * since_ns)
+        # An object has a closed outline (Alexe, Deselaers and Ferrari 2012). Of the powers 1, 2, 4 and 8 of the share
+        # that is drawn, the fourth tells right tracks best from false ones.
+        closed = observation.drawn * observation.drawn
+        seen_ns = round(closed * closed * since_ns)
         state.tracks[track.id] = replace(track, observed_ns=track.observed_ns + seen_ns)
         return tuple(covered)
 
