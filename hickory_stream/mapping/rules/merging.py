@@ -30,10 +30,6 @@ DUPLICATE_SHARE = 0.5
 SURE_SHARE = 0.7
 # An observation of one track that covers this share of another is a vote for a merge.
 _COVERS_SHARE = 0.3
-# Votes for this long, at this ratio to the time for which the two were seen apart, suffice as well: close views
-# over-segment objects more often than distant ones under-segment them.
-_SURE_NS = 1_500_000_000
-_SURE_RATIO = 0.7
 # Clouds whose depth is less sure than this many voxels are compared in cells of about half a standard deviation.
 _NOISY_VOXELS = 8.0
 
@@ -255,8 +251,7 @@ def why_one(
 def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:
     # Frames that see a picture and its wall as one do not make them so. A size alone, which grows, divides nothing.
     is_one_kind = a.is_attached == b.is_attached
-    often = votes.together_ns >= _SURE_NS and votes.together_ns >= _SURE_RATIO * votes.apart_ns
-    if is_one_kind and (often or (votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns)):
+    if is_one_kind and votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns:
         return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
     small, large = (a, b) if len(a.solid.keys) <= len(b.solid.keys) else (b, a)
     share = share_near(small.solid.keys, large.solid)

@@ -127,7 +127,7 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
         (0.8, 0.7, (1, 2)),
         (0.8, 0.8, None),
         (0.8, 3, None),
-        (2.5, 3, (1, 2)),
+        (2.5, 3, None),
         (0, 0, None),
     ],
 )
