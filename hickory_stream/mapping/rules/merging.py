@@ -239,13 +239,15 @@ def why_one(
     # The boxes of touching tracks intersect, given a few centimetres of slack.
     if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
-    reason = _why_one_thing(a, b, book.of(a.id, b.id), voxel_m, least_ns)
+    votes = book.of(a.id, b.id)
+    reason = _why_one_thing(a, b, votes, voxel_m, least_ns)
     if reason is not None:
         return reason
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
-    if is_known and not less.is_promoted and (part := graph.part_of(less, more, near)) is not None:
-        return part.reason
-    return None
+    if not is_known or less.is_promoted:
+        return None
+    part = graph.part_of(less, more, near, seen_apart=votes.apart_ns > votes.together_ns)
+    return None if part is None else part.reason
 
 
 def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:

@@ -147,9 +147,12 @@ class SupportGraph:
         is_foot = is_on_foot(upper, lower)
         return _part(lower, upper, "the lower is the foot of the upper") if is_foot else None
 
-    def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
-        """Return the edge by which `small` is a leg, pot or inner part of `large`, resting on none `near`, or None."""
-        if is_leg(small, large):
+    def part_of(self, small: Body, large: Body, near: Iterable[Body], *, seen_apart: bool = False) -> Support | None:
+        """Return the edge by which `small` is a leg, pot or inner part of `large`, resting on none `near`, or None.
+
+        What keyframes saw apart (`seen_apart`) is no leg: a stool stands under its table as a leg does.
+        """
+        if not seen_apart and is_leg(small, large):
             return _part(small, large, "the smaller stands under the larger like a leg")
         if stands_in(large, small):
             return _part(small, large, "the larger stands in the smaller")

@@ -102,6 +102,14 @@ def test_equal_tracks_and_a_piece_on_a_larger_one_are_one():
     assert found(merging.VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
 
 
+def test_what_is_seen_apart_from_the_table_above_it_is_no_leg():
+    top, side = box_surface((0, 0, 0.72), (0.6, 1.2, 0.04)), box_surface((0, -0.58, 0.35), (0.6, 0.04, 0.7))
+    desk, pedestal = track(1, np.concatenate([top, side])), track(2, box_surface((0, 0.4, 0.34), (0.4, 0.3, 0.66)))
+    book = merging.VoteBook().plus([(1, 2)], together_ns=SECOND_NS // 2)
+    assert found(book, desk, pedestal) == (1, 2)
+    assert found(book.plus([(1, 2)], apart_ns=SECOND_NS), desk, pedestal) is None
+
+
 def test_tracks_apart_and_a_mug_on_a_table_are_two():
     box = track(1, box_surface((0, 0, 0.1)))
     assert found(merging.VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
