@@ -49,16 +49,14 @@ class Lighting:
         assert 0 <= self.num_shadows <= len(self.lamps) <= MOST_LAMPS
 
 
-def usual_lighting(rooms_m: Sequence[tuple[float, float, float, float]], floors_m: Sequence[float] = ()) -> Lighting:
-    """Return a main lamp, which throws shadows, and a fill lamp in each room; `floors_m` () is all at z = 0."""
+def usual_lighting(rooms_m: Sequence[tuple[float, float, float, float]]) -> Lighting:
+    """Return a main lamp, which throws shadows, and a fill lamp in each room."""
     rooms = np.array(rooms_m, dtype=np.float64)
     middle, half = (rooms[:, :2] + rooms[:, 2:]) / 2, (rooms[:, 2:] - rooms[:, :2]) / 2
     places = np.empty((len(rooms), 2, 3))
     for i, place in enumerate((_MAIN_LIGHT, _FILL_LIGHT)):
         places[:, i, :2] = middle + half * place[:2]
         places[:, i, 2] = place[2]
-    if floors_m:
-        places[:, :, 2] += np.array(floors_m)[:, None]
     return Lighting(places_m=places, lamps=(Lamp(color=(0.95, 0.95, 0.95)), Lamp(color=(0.4, 0.4, 0.4))))
 
 

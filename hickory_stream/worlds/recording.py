@@ -46,24 +46,17 @@ def make_recording(
     *,
     caster: CasterName | None = "open3d",
     seen: SeenSurface | None = None,
-    processes: int = 1,
 ) -> Truth:
     """Write the log's files and NAME.truth/ into a folder, replacing older ones when complete; return the truth.
 
-    `seen` collects what several recordings of one world show. `processes` and `caster` (None: the available one) change
-    how frames are rendered; the number of processes changes no byte.
+    `seen` collects what several recordings of one world show. `caster` (None: the available one) changes how frames are
+    rendered.
 
     Raises:
-        ConfigError: NAME.truth exists and is no truth folder, none of the seed's rooms can be walked through, or there
-            are several processes for a scene whose frames draw their noise one after the other.
+        ConfigError: NAME.truth exists and is no truth folder, or none of the seed's rooms can be walked through.
         InputError: the caster is not installed.
     """
-    if processes < 1 or (processes > 1 and not config.is_by_frame):
-        raise ConfigError(
-            f"{processes} processes for the scene {config.scene}; expected 1: its frames draw their noise one after "
-            "the other"
-        )
-    return film(config.stage(), config, folder, name, progress, caster=caster, seen=seen, processes=processes)
+    return film(config.stage(), config, folder, name, progress, caster=caster, seen=seen)
 
 
 def film(
@@ -75,7 +68,6 @@ def film(
     *,
     caster: CasterName | None = "open3d",
     seen: SeenSurface | None = None,
-    processes: int = 1,
 ) -> Truth:
     """Write a recording of any world, as `make_recording` does of one from a seed; `config.scene` is not looked at.
 
@@ -89,7 +81,7 @@ def film(
     folder.mkdir(parents=True, exist_ok=True)
     filming = Filming(sensors=config.sensors(), stage=stage, caster=caster)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
-        truth = _make(config, filming, Path(unfinished), name, progress, seen, processes)
+        truth = _make(config, filming, Path(unfinished), name, progress, seen)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
@@ -107,7 +99,6 @@ def _make(
     name: str,
     progress: Callable[[int, int], None],
     seen_by_all: SeenSurface | None,
-    processes: int,
 ) -> Truth:
     stage = filming.stage
     world = stage.world if stage.change is None else stage.change.world
@@ -116,7 +107,7 @@ def _make(
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
     structure = _write_meshes(world, elsewhere, truth_folder, stage.robot_from_world)
-    recorded = _record(config, filming, world, elsewhere, (folder, name, truth_folder), progress, processes)
+    recorded = _record(config, filming, world, elsewhere, (folder, name, truth_folder), progress)
     if seen_by_all is not None:
         seen_by_all.include(recorded.seen)
 
@@ -182,7 +173,6 @@ def _record(
     elsewhere: Sequence[WorldObject],
     targets: tuple[Path, str, Path],
     progress: Callable[[int, int], None],
-    processes: int,
 ) -> _Recorded:
     # `world` is the one at the end; `elsewhere` are the objects that stood elsewhere before, or are gone.
     folder, name, truth_folder = targets
@@ -201,7 +191,7 @@ def _record(
     change_ns = next((stamp for stamp, time_s in zip(stamps_ns, times_s, strict=True) if time_s >= changes_at_s), 0)
     with config.open_log(folder, name, stamps_ns[-1]) as log:
         log.write_static(stamps_ns[0])
-        shots = shots_of(replace(filming, view=log.depth_view), times_s[::every], processes)
+        shots = shots_of(replace(filming, view=log.depth_view), times_s[::every])
         for i, (stamp_ns, time_s) in enumerate(zip(stamps_ns, times_s, strict=True)):
             estimated = _in_frame(stage.robot_from_world, odometry.pose_at(time_s))
             log.write_pose(stamp_ns, estimated, _velocity(odometry, time_s))

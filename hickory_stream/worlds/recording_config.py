@@ -1,6 +1,6 @@
 """What a synthetic recording is made of: scene, walk, cameras and their defects.
 
-A room is the only scene here; others, and other logs, come from outside by `register_scene` and a subclass.
+A room is the only scene here; others, and other logs, come from outside by `SCENES` and a subclass.
 """
 
 from __future__ import annotations
@@ -24,16 +24,6 @@ from hickory_stream.worlds.zed_log import LogWriter, ZedLog
 Walk: TypeAlias = Callable[[World, int], Trajectory | NoWalk]
 
 _WORLDS = 20
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Scene:
-    """How the worlds of a scene are drawn."""
-
-    draw: Callable[[Any, int], tuple[World, Walk]]
-    """Returns world number `attempt` of a config's seed, and its walks."""
-    is_by_frame: bool = False
-    """Whether each frame draws its noise for itself, so that frames can be made in any order."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,11 +62,6 @@ class RecordingConfig:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
 
     @property
-    def is_by_frame(self) -> bool:
-        """Whether each frame draws its noise for itself, so that frames can be made in any order."""
-        return SCENES[self.scene].is_by_frame
-
-    @property
     def camera(self) -> Camera:
         """The pinhole camera of both images."""
         focal_px = float(self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2))
@@ -89,8 +74,7 @@ class RecordingConfig:
             camera=self.camera,
             color_noise=self.color_noise,
             depth=self.depth,
-            seeds=(self.seed, 3, self.walk_index) if self.walk_index or self.is_by_frame else (self.seed, 3),
-            is_by_frame=self.is_by_frame,
+            seeds=(self.seed, 3, self.walk_index) if self.walk_index else (self.seed, 3),
         )
 
     def stage(self) -> Stage:
@@ -115,7 +99,7 @@ def walkable(config: RecordingConfig, others: Iterable[int] = ()) -> tuple[World
         ConfigError: no world of the seed has all of these walks.
     """
     for attempt in range(_WORLDS):
-        world, walk = SCENES[config.scene].draw(config, attempt)
+        world, walk = SCENES[config.scene](config, attempt)
         trajectory = walk(world, config.walk_index)
         if not isinstance(trajectory, NoWalk) and not any(isinstance(walk(world, i), NoWalk) for i in others):
             return world, trajectory, walk
@@ -133,9 +117,5 @@ def _room(config: RecordingConfig, attempt: int) -> tuple[World, Walk]:
     return furnished_room(config.seed, attempt), walk
 
 
-SCENES = {"room": Scene(draw=_room)}
-
-
-def register_scene(name: str, scene: Scene) -> None:
-    """Add a scene; the configs that name it have what its `draw` asks of them."""
-    SCENES[name] = scene
+SCENES: dict[str, Callable[[Any, int], tuple[World, Walk]]] = {"room": _room}
+"""Each returns world number `attempt` of a config's seed, and its walks; what it asks of a config is its own."""

@@ -84,8 +84,8 @@ class Renderer:
         self._texture_of_face = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         counts = [sum(len(part.faces) for part in model.parts) for model, _ in models]
         self._first_face = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        self._rooms = _room_table(world)
-        lighting: Lighting = world.lighting or usual_lighting(world.rooms_m, world.floors_m)
+        self._rooms = np.array(world.rooms_m)
+        lighting: Lighting = world.lighting or usual_lighting(world.rooms_m)
         self._num_shadows = lighting.num_shadows
         self._lamps = lamp_table(lighting)
         self._ambient = np.array(lighting.ambient)
@@ -195,28 +195,17 @@ def rays_of(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[n
     return rays.reshape(-1, 6)
 
 
-def _room_table(world: World) -> NDArray[np.float64]:
-    """Return (R, 6) rows for the kernel: a room's rectangle, and the heights between which it lies."""
-    floors = np.array(world.floors_m) if world.floors_m else np.full(len(world.rooms_m), -np.inf)
-    levels = np.append(np.unique(floors), np.inf)
-    ceilings = levels[np.searchsorted(levels, floors, side="right")]
-    # What is below the lowest floor belongs to it.
-    floors = np.where(floors == levels[0], -np.inf, floors)
-    return np.column_stack([np.array(world.rooms_m), floors, ceilings])
-
-
 @kernel
 def _nearest_room(points, rooms):
-    """Return the index of the room that contains each (N, 3) point, or of the nearest one."""
+    """Return the index of the room (x0, y0, x1, y1) that contains each (N, 3) point, or of the nearest one."""
     nearest = np.zeros(len(points), dtype=np.intp)
     for i in range(len(points)):
         best = np.inf
         for r in range(len(rooms)):
             dx = max(rooms[r, 0] - points[i, 0], 0.0, points[i, 0] - rooms[r, 2])
             dy = max(rooms[r, 1] - points[i, 1], 0.0, points[i, 1] - rooms[r, 3])
-            dz = max(rooms[r, 4] - points[i, 2], 0.0, points[i, 2] - rooms[r, 5])
-            if dx * dx + dy * dy + dz * dz < best:
-                best = dx * dx + dy * dy + dz * dz
+            if dx * dx + dy * dy < best:
+                best = dx * dx + dy * dy
                 nearest[i] = r
     return nearest
 

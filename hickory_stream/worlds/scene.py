@@ -42,8 +42,6 @@ class World:
     rooms_m: tuple[tuple[float, float, float, float], ...]
     #: The centre (x, y) of the walk in a world of one room.
     middle_m: tuple[float, float]
-    #: The height of each room's floor, () where all are at z = 0.
-    floors_m: tuple[float, ...] = ()
     #: None: two lamps under the ceiling of each room.
     lighting: Lighting | None = None
 

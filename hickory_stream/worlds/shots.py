@@ -1,13 +1,7 @@
-"""The frames of a recording: what the cameras give, and what is truly there.
-
-Where each frame draws its own noise (`Sensors.is_by_frame`), several processes make the same frames as one.
-"""
+"""The frames of a recording: what the cameras give, and what is truly there."""
 
 from __future__ import annotations
 
-import multiprocessing
-from collections import deque
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -18,7 +12,7 @@ from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.rendering import Rendered, Renderer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,10 +21,6 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.scene import World
     from hickory_stream.worlds.trajectory import Trajectory
     from hickory_stream.worlds.zed_log import DepthView
-
-# Frames that are made ahead of the one that is written, for each process.
-_AHEAD = 3
-
 
 # The id of an occluder in instance images; it is no true object.
 OCCLUDER_ID = 60000
@@ -60,8 +50,6 @@ class Sensors:
     color_noise: float
     depth: DepthCameraConfig
     seeds: tuple[int, ...]
-    #: Each frame draws for itself.
-    is_by_frame: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -113,47 +101,15 @@ class Shot:
         freeze(self, "instances", np.uint16, size)
 
 
-def shots_of(filming: Filming, times_s: Sequence[float], processes: int = 1) -> Iterator[Shot]:
-    """Yield the frames at times of the walk, in their order."""
-    if processes == 1:
-        shoot = _shooter(filming)
-        for index, time_s in enumerate(times_s):
-            yield shoot(index, time_s)
-        return
-    # Forked processes would inherit the locks of threads that they do not have.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=_prepare, initargs=(filming,)) as pool:
-        waiting = deque(pool.submit(_shoot, i, times_s[i]) for i in range(min(_AHEAD * processes, len(times_s))))
-        for index in range(len(waiting), len(times_s) + _AHEAD * processes):
-            if not waiting:
-                return
-            yield waiting.popleft().result()
-            if index < len(times_s):
-                waiting.append(pool.submit(_shoot, index, times_s[index]))
-
-
-# What a process of the pool makes frames with.
-_shoot_here: Callable[[int, float], Shot] | None = None
-
-
-def _prepare(filming: Filming) -> None:
-    global _shoot_here  # a process of the pool has one filming, from its start to its end
-    _shoot_here = _shooter(filming)
-
-
-def _shoot(index: int, time_s: float) -> Shot:
-    assert _shoot_here is not None
-    return _shoot_here(index, time_s)
-
-
-def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
-    sensors = filming.sensors
+def shots_of(filming: Filming, times_s: Sequence[float]) -> Iterator[Shot]:
+    """Yield the frames at times of the walk, in their order: each draws its noise after the one before."""
+    sensors, view = filming.sensors, filming.view
     camera = sensors.camera
     stage, trajectory = filming.stage, filming.stage.trajectory
     renderer = Renderer(stage.world, filming.caster)
     later = renderer if stage.change is None else Renderer(stage.change.world, filming.caster)
     changes_at_s = np.inf if stage.change is None else stage.change.at_s
-    in_order = np.random.default_rng(sensors.seeds)
+    rng = np.random.default_rng(sensors.seeds)
 
     def rendered_at(camera: Camera, pose: NDArray[np.float64], time_s: float) -> Rendered:
         rendered = (renderer if time_s < changes_at_s else later).render(camera, pose)
@@ -161,18 +117,15 @@ def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
             return rendered
         return stage.occluder.drawn_into(rendered, camera, pose, time_s, filming.caster)
 
-    def shoot(index: int, time_s: float) -> Shot:
-        rng = np.random.default_rng([*sensors.seeds, index]) if sensors.is_by_frame else in_order
+    for time_s in times_s:
         rendered = rendered_at(camera, trajectory.pose_at(time_s), time_s)
         rgb, depth_m = _sensed(rendered, sensors, rng)
-        if filming.view is not None:
+        if view is not None:
             # A separate depth camera beside the colour camera, a short time later.
-            later_s = min(time_s + filming.view.lag_ns / 1e9, float(trajectory.times_s[-1]))
-            pose = trajectory.pose_at(later_s) @ filming.view.color_from_depth
-            depth_m = _depth(rendered_at(filming.view.camera, pose, later_s), filming.view.camera, sensors, rng)
-        return Shot(rgb=rgb, depth_m=depth_m, exact_depth_m=rendered.depth_m, instances=rendered.instances)
-
-    return shoot
+            later_s = min(time_s + view.lag_ns / 1e9, float(trajectory.times_s[-1]))
+            pose = trajectory.pose_at(later_s) @ view.color_from_depth
+            depth_m = _depth(rendered_at(view.camera, pose, later_s), view.camera, sensors, rng)
+        yield Shot(rgb=rgb, depth_m=depth_m, exact_depth_m=rendered.depth_m, instances=rendered.instances)
 
 
 def _sensed(

@@ -18,17 +18,15 @@ _LOOKAHEAD = 3
 
 
 def gaze(
-    world: World, positions: NDArray[np.float64], step_s: float, config: WalkConfig, *, first_yaw: float | None = None
+    world: World, positions: NDArray[np.float64], step_s: float, config: WalkConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return smooth (N,) yaw and pitch of the optical axis; `first_yaw` None looks at the middle of the room.
+    """Return smooth (N,) yaw and pitch of the optical axis, at first towards the middle of the room.
 
     The gaze turns to objects seen least, and to their unseen sides, at the angular rate of a head.
     """
     steps = round(_DECISION_S / step_s)
     attention = _Attention(world)
-    if first_yaw is None:
-        first_yaw = _heading(attention.middle_of_room(positions[0]) - positions[0])
-    yaw = first_yaw
+    yaw = _heading(attention.middle_of_room(positions[0]) - positions[0])
     knots = [yaw]
     pitches = [attention.pitch(positions[0], yaw, config)]
     turn = np.radians(config.max_yaw_rate_dps) * _DECISION_S

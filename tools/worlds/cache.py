@@ -22,7 +22,7 @@ CLUTTER_VERSION = 2
 
 # Fields that were added to configs later: their defaults are left out of a name, so that older recordings stay valid.
 _LATER = {
-    "": (RecordingConfig(), ("layout", "family", "camera_offset", "robots", "building", "day", "change_at_s")),
+    "": (RecordingConfig(), ("layout", "family", "camera_offset", "robots", "day", "change_at_s")),
     "walk": (WalkConfig(), ("pitch_deg",)),
 }
 

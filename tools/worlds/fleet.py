@@ -25,7 +25,6 @@ def robot_name(name: str, robot: int) -> str:
 def make_fleet(
     config: RecordingConfig, folder: Path, name: str, num_robots: int,
     progress: Callable[[int, int], None] = lambda done, total: None, *, caster: CasterName | None = "open3d",
-    processes: int = 1,
 ) -> Truth:  # fmt: skip
     """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth."""
     # Robot i goes on walk i; `progress` counts each robot's frames.
@@ -39,7 +38,7 @@ def make_fleet(
         world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
     )
     truths = [
-        make_recording(one, folder, robot_name(name, i), progress, caster=caster, seen=seen, processes=processes)
+        make_recording(one, folder, robot_name(name, i), progress, caster=caster, seen=seen)
         for i, one in enumerate(configs)
     ]
     truth = _truth_of_all(truths[0], folder / f"{name}.truth", seen)

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
+from hickory_stream.worlds.recording_config import SCENES, walkable
 from hickory_stream.worlds.recording_config import RecordingConfig as PlainConfig
-from hickory_stream.worlds.recording_config import Scene, register_scene, walkable
 from hickory_stream.worlds.scene import World, WorldObject, placed_otherwise
 from hickory_stream.worlds.shots import Stage, WorldChange
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, walk_round
 from hickory_stream.worlds.zed_log import LogWriter
 from tools.worlds.apartment import apartment
-from tools.worlds.building.building import BuildingSize, building
-from tools.worlds.building.route import building_walk
 from tools.worlds.clutter.kit import recipes_of
 from tools.worlds.clutter.room import clutter_room
 from tools.worlds.clutter.walk import wander
@@ -31,10 +29,10 @@ from tools.worlds.person import Person
 from tools.worlds.routes import tour
 from tools.worlds.tabletop import orbit, tabletop
 
-APARTMENT, TABLETOP, CLUTTER, OUTDOOR, BUILDING = "apartment", "tabletop", "clutter", "outdoor", "building"
+APARTMENT, TABLETOP, CLUTTER, OUTDOOR = "apartment", "tabletop", "clutter", "outdoor"
 MAX_ROBOTS = 16
 Walk = Callable[[World, int], Trajectory | NoWalk]
-_WITHOUT_DAYS = (BUILDING, CLUTTER, OUTDOOR)
+_WITHOUT_DAYS = (CLUTTER, OUTDOOR)
 _LEAST_CLUTTER = 6
 _ON_THE_WAY = 7_000_000
 # Where robots of a fleet start by their own reckoning, and by how much their clocks differ.
@@ -58,8 +56,6 @@ class RecordingConfig(PlainConfig):
     """Whether the seed draws the camera's pose on the body of a NUS-CLB robot, 0.4 m and 10 degrees off."""
     drift: DriftConfig | None = None
     """The drift of odometry; None: exact poses."""
-    building: BuildingSize | None = None
-    """None: two floors and twelve rooms."""
     day: int = 0
     """How many days the things in the world have been moved, removed and added since it was made (`days`)."""
     change_at_s: float | None = None
@@ -120,7 +116,7 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     # The first two walks through an apartment, and those of a fleet, share one world: all must be possible.
     # Raises ConfigError: none of the seed's worlds can be walked.
     others = {*range(config.robots), *((0, 1) if config.scene == APARTMENT else ())} - {config.walk_index}
-    world, trajectory, walk = walkable(config, () if config.scene in (BUILDING, CLUTTER) else others)
+    world, trajectory, walk = walkable(config, () if config.scene == CLUTTER else others)
     if not config.day:
         return world, trajectory
 
@@ -214,18 +210,4 @@ def _outdoor(config: RecordingConfig, attempt: int) -> tuple[World, Walk]:
     return found.world, lambda _, index: stroll(found, config.seconds, config.walk, index)
 
 
-def _building(config: RecordingConfig, attempt: int) -> tuple[World, Walk]:
-    house = building(config.seed, config.building or BuildingSize(), attempt)
-
-    def walk(_: World, index: int) -> Trajectory | NoWalk:
-        rng = np.random.default_rng([config.seed, 2, index])
-        return building_walk(house, config.seconds, config.walk, index, rng)
-
-    return house.world, walk
-
-
-register_scene(APARTMENT, Scene(draw=_apartment))
-register_scene(TABLETOP, Scene(draw=_tabletop))
-register_scene(CLUTTER, Scene(draw=_clutter))
-register_scene(OUTDOOR, Scene(draw=_outdoor))
-register_scene(BUILDING, Scene(draw=_building, is_by_frame=True))
+SCENES.update({APARTMENT: _apartment, TABLETOP: _tabletop, CLUTTER: _clutter, OUTDOOR: _outdoor})
