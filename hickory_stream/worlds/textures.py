@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 
-Pattern = Literal[
-    "plain", "wood", "checker", "stripes", "speckle", "planks", "print", "tiles", "marble", "dots", "plaid", "cells"
-]
+Pattern = Literal["plain", "wood", "checker", "stripes", "speckle", "planks", "print", "tiles", "marble"]
 Color = tuple[float, float, float]
 
 _PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
-_PLAIN, _WOOD, _CHECKER, _STRIPES, _SPECKLE, _PLANKS, _PRINT, _TILES, _MARBLE, _DOTS, _PLAID = range(11)
+_PLAIN, _WOOD, _CHECKER, _STRIPES, _SPECKLE, _PLANKS, _PRINT, _TILES = range(8)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,15 +88,9 @@ def albedo(x, y, z, row):
         share = _print(x, y, z, period)
     elif pattern == _TILES:
         share = _tiles(x, y, z, period)
-    elif pattern == _MARBLE:
+    else:
         warp = value_noise(x * 6.0, y * 6.0, z * 6.0) + 0.5 * value_noise(x * 17.0, y * 17.0, z * 17.0)
         share = (0.5 + 0.5 * math.sin(2 * math.pi * ((along + 0.3 * a) / period + 2.5 * warp))) ** 3
-    elif pattern == _DOTS:
-        share = _dots(x / period, y / period, z / period)
-    elif pattern == _PLAID:
-        share = 0.34 * (_band(x / period) + _band(y / period) + _band(z / period))
-    else:
-        share = _lattice(*_nearest_seed(x / period, y / period, z / period))
     fine = 1.0 + row[9] * (value_noise(x * 90.0, y * 90.0, z * 90.0) + value_noise(x * 23.0, y * 23.0, z * 23.0) - 1.0)
     red = (row[1] + (row[4] - row[1]) * share) * fine
     green = (row[2] + (row[5] - row[2]) * share) * fine
@@ -151,35 +143,6 @@ def _tiles(x, y, z, period):
         if f < 0.04:
             return 1.0
     return 0.3 * _lattice(int(cx), int(cy), int(cz))
-
-
-@kernel
-def _dots(x, y, z):
-    dx, dy, dz = x - math.floor(x) - 0.5, y - math.floor(y) - 0.5, z - math.floor(z) - 0.5
-    return 1.0 if dx * dx + dy * dy + dz * dz < 0.16 else 0.0
-
-
-@kernel
-def _band(x):
-    f = x - math.floor(x)
-    return 1.0 if f < 0.3 or 0.45 < f < 0.52 else 0.0
-
-
-@kernel
-def _nearest_seed(x, y, z):
-    """Return the cell (three integers) whose random point is nearest (Worley noise): fields with straight borders."""
-    ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
-    best, bx, by, bz = 1e9, ix, iy, iz
-    for i in range(ix - 1, ix + 2):
-        for j in range(iy - 1, iy + 2):
-            for k in range(iz - 1, iz + 2):
-                dx = i + _lattice(i, j, k) - x
-                dy = j + _lattice(j, k, i + 91) - y
-                dz = k + _lattice(k, i, j + 57) - z
-                distance = dx * dx + dy * dy + dz * dz
-                if distance < best:
-                    best, bx, by, bz = distance, i, j, k
-    return bx, by, bz
 
 
 @kernel

@@ -1,1 +1,1 @@
-"""Random rooms full of random things, in three families that share no recipe: training, tuning, reporting."""
+"""Random rooms full of random things, in two families that share no recipe: training and tuning."""

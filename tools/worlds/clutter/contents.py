@@ -305,43 +305,10 @@ def leaning_row(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
     return things
 
 
-def pyramid(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return things of one kind and material in layers, each above the joints of the one below."""
-    drawn = kit.make(rng, one_of(rng, kit.recipes.flat))
-    model = fitted(drawn, (place.half_m[0], 0.5 * place.half_m[1], 0.3 * place.headroom_m))
-    if model is None:
-        return []
-    low, high = model.bounds_m()
-    width, things = float(high[1] - low[1]) + 0.0006, []
-    base = min(count(rng, 2, 5), int(2 * place.half_m[1] / width))
-    for level in range(base):
-        z = level * (float(high[2]) + REST_M)
-        if z + high[2] > place.headroom_m:
-            break
-        things += [
-            (model, at_place(0.0, (i - (base - level - 1) / 2) * width, z + REST_M, 0.0)) for i in range(base - level)
-        ]
-    return things
-
-
-def diagonal_row(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return things in a staggered line across the place, corner to corner."""
-    things, taken = [], Taken()
-    for share in np.linspace(-0.85, 0.85, count(rng, 3, 8)):
-        model = fitted(kit.small(rng), (place.half_m[0], 0.5 * place.half_m[1], place.headroom_m))
-        if model is None:
-            continue
-        pose = at_place(share * place.half_m[0] * 0.7, share * place.half_m[1], REST_M, 0.5)
-        if _is_on(model, pose, place) and taken.take(corners_of(model, pose)):
-            things.append((model, pose))
-    return things
-
-
 CONTENTS: dict[str, Filling] = {
     f.__name__: f
     for f in (
-        spread, touching, row, same, stacks, heap, laid_rows, cloth_and_things, ring_of_things, leaning_row, pyramid,
-        diagonal_row,
+        spread, touching, row, same, stacks, heap, laid_rows, cloth_and_things, ring_of_things, leaning_row,
     )
 }  # fmt: skip
 """The ways of filling a place by name."""

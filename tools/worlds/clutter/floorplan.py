@@ -233,16 +233,9 @@ def outline_octagon(rng: np.random.Generator, size: tuple[float, float]) -> NDAr
     return np.array(corners) * size
 
 
-def outline_bay(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    a, b, deep = uniform(rng, 0.1, 0.3), uniform(rng, 0.6, 0.9), uniform(rng, 0.15, 0.35)
-    slope = uniform(rng, 0.0, 0.08)
-    corners = [[0, 0], [1, 0], [1, 1], [b, 1], [b - slope, 1 + deep], [a + slope, 1 + deep], [a, 1], [0, 1]]
-    return np.array(corners) * size
-
-
 OUTLINES: dict[str, Callable[[np.random.Generator, tuple[float, float]], NDArray[np.float64]]] = {
     "rectangle": outline_rectangle, "l_shape": outline_l_shape, "cut_corner": outline_cut_corner,
-    "skewed": outline_skewed, "octagon": outline_octagon, "bay": outline_bay,
+    "skewed": outline_skewed, "octagon": outline_octagon,
 }  # fmt: skip
 """The outlines of rooms by name; all are counter-clockwise."""
 

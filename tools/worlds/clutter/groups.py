@@ -370,36 +370,11 @@ def corner_pile(rng: np.random.Generator, kit: Kit) -> Group:
     return Group(placed=tuple(placed), is_at_wall=True)
 
 
-def island(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return units in a closed ring: fronts outwards, with things on their tops."""
-    model = SHAPES[one_of(rng, kit.recipes.units)](rng, kit.skin)
-    low, high = model.bounds_m()
-    model = stretched(model, (1.0, 1.0, uniform(rng, 0.7, 1.1) / float(high[2])))
-    width, number = float(high[1] - low[1]) + 0.001, count(rng, 1, 3)
-    placed = []
-    for turn in (0.0, np.pi):
-        for i in range(number):
-            y = (i - (number - 1) / 2) * width
-            placed.append(_at(model, (0.0008 - float(low[0])) * (1 if turn == 0.0 else -1), y, turn))
-    return Group(placed=(*placed, *(t for one in placed for t in filled(rng, kit, one, 0.6))), is_at_wall=False)
-
-
-def aisle(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return equal supports in parallel rows with an aisle between them."""
-    model = kit.make(rng, one_of(rng, kit.recipes.supports))
-    low, high = model.bounds_m()
-    pitch = (float(high[0] - low[0]) + uniform(rng, 0.5, 1.0), float(high[1] - low[1]) + 0.001)
-    placed: list[Placement] = []
-    for i in range(2):
-        placed += [_at(model, i * pitch[0], j * pitch[1], np.pi * i) for j in range(count(rng, 1, 2))]
-    return Group(placed=(*placed, *(t for one in placed for t in filled(rng, kit, one, 0.7))), is_at_wall=False)
-
-
 GROUPS: dict[str, Callable[[np.random.Generator, Kit], Group]] = {
     f.__name__: f
     for f in (
         flush_row, filled_support, table_with_seats, floor_heap, floor_stacks, floor_spread, carton_wall, solitary,
-        leaning, clothes_rail, wall_boards, curtained, back_to_back, corner_pile, island, aisle,
+        leaning, clothes_rail, wall_boards, curtained, back_to_back, corner_pile,
     )
 }  # fmt: skip
 """The arrangements by name."""

@@ -1,6 +1,5 @@
 """Random draws from the recipes of a family, and recipes of the usual objects in random proportions."""
-# The recipes of each family: the one table that separates training, tuning and reporting. The families share no recipe.
-# `reporting` is never used to choose anything.
+# The recipes of each family: the one table that separates training and tuning, which share no recipe.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from tools.worlds.clutter.objects.solids import stretched
 from tools.worlds.clutter.objects.supports import SUPPORTS
 from tools.worlds.clutter.objects.units import SEATS, UNITS
 
-Family = Literal["training", "tuning", "reporting"]
+Family = Literal["training", "tuning"]
 FAMILIES: tuple[Family, ...] = get_args(Family)
 
 
@@ -93,21 +92,6 @@ TABLE: dict[Family, Recipes] = {
         groups=("back_to_back", "corner_pile", "curtained"),
         outlines=("octagon",),
     ),
-    "reporting": Recipes(
-        small=(
-            "lidded_case", "slab", "grating", "spool", "lattice_cube", "coil", "arch", "usual_bowl", "usual_carton",
-            "usual_pot", "usual_pan", "usual_table_lamp", "usual_clock",
-        ),
-        flat=("lidded_case", "slab"),
-        supports=("ladder_shelf", "trolley", "usual_bed"),
-        seats=("usual_office_chair",),
-        bodies=("usual_speaker", "tent"),
-        units=("locker",),
-        materials=("linen", "concrete", "enamel", "dotted", "plaid", "marbled", "patched"),
-        contents=("pyramid", "diagonal_row"),
-        groups=("island", "aisle"),
-        outlines=("bay",),
-    ),
 }  # fmt: skip
 
 
@@ -120,17 +104,16 @@ def recipes_of(family: str) -> Recipes:
 
 _MOST_M = 3.0
 _SMALL = (
-    small_things.mug, small_things.bottle, small_things.bowl, small_things.small_box, small_things.monitor,
-    table_things.can, table_things.jar, table_things.carton, table_things.cereal_box, table_things.packet,
-    table_things.squeeze_bottle, table_things.kettle, table_things.pot, table_things.pan, table_things.vase,
-    table_things.laptop, table_things.toy_car, table_things.ball, table_things.cushion, table_things.table_lamp,
-    table_things.clock,
+    small_things.mug, small_things.bottle, small_things.small_box, small_things.monitor,
+    table_things.can, table_things.jar, table_things.cereal_box, table_things.packet,
+    table_things.squeeze_bottle, table_things.kettle, table_things.vase,
+    table_things.laptop, table_things.toy_car, table_things.ball, table_things.cushion,
 )  # fmt: skip
 _LARGE = (
     furniture.table, furniture.desk, furniture.chair, furniture.sofa, furniture.shelf, furniture.lamp,
-    furniture.plant, big_things.armchair, big_things.stool, big_things.bench, big_things.office_chair,
-    big_things.coffee_table, big_things.nightstand, big_things.dresser, big_things.bed, big_things.suitcase,
-    big_things.basket, big_things.speaker,
+    furniture.plant, big_things.armchair, big_things.stool, big_things.bench,
+    big_things.coffee_table, big_things.nightstand, big_things.dresser, big_things.suitcase,
+    big_things.basket,
 )  # fmt: skip
 
 

@@ -203,24 +203,10 @@ def machine(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("machine", parts)
 
 
-def tent(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a cloth over a ridge, closed on all sides: tents, drying racks with sheets on them."""
-    length, half, high, sag = (
-        uniform(rng, 0.6, 1.6), uniform(rng, 0.25, 0.6), uniform(rng, 0.5, 1.2), uniform(rng, 0.0, 0.3),
-    )  # fmt: skip
-    across = np.linspace(-1, 1, 21)
-    rise = high * (1 - np.abs(across)) ** (1 + sag)
-    outline = np.stack([np.concatenate([across * half, [0.0]]), np.concatenate([rise, [0.0]])], axis=1)[::-1]
-    outline = outline[1:] if rise[0] == 0.0 else outline
-    path = [(0.0, -length / 2, 0.0), (0.0, 0.0, 0.0), (0.0, length / 2, 0.0)]
-    part = sweep(outline, path, skin(rng))
-    return grounded("tent", [rough(part, rng, 0.02, 0.4)])
-
-
 BODIES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
     f.__name__: f for f in (
         big_carton, open_carton, barrel, sack, roll, floor_lamp, foliage, screen, ladder, draped, blanket_heap,
-        rounded_body, machine, tent,
+        rounded_body, machine,
     )
 }  # fmt: skip
 """The recipes of bodies by name."""

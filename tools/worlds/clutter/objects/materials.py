@@ -80,9 +80,6 @@ MATERIALS: dict[str, Skin] = {
     ),
     # Grey metal.
     "brushed": lambda rng: _even(rng, _tinted(rng, uniform(rng, 0.3, 0.85)), 0.1, 0.01, 0.1, (0.1, 0.5)),
-    "linen": lambda rng: _shaded(rng, "plain", color(rng), 0.3, (0.003, 0.01), (0.1, 0.3)),
-    "concrete": lambda rng: _shaded(rng, "plain", _tinted(rng, uniform(rng, 0.35, 0.8)), 0.25, (0.05, 0.4), (0.1, 0.3)),
-    "enamel": lambda rng: _even(rng, _hue(rng, _ANY, (0.0, 0.35), (0.75, 0.97)), 0.0, 0.1, 0.01, (0.3, 0.9)),
     "timber": lambda rng: _shaded(rng, "wood", _hue(rng, (0.05, 0.11), (0.25, 0.6), (0.3, 0.9)), 0.4, (0.015, 0.08)),
     "cardboard": lambda rng: _even(rng, _hue(rng, (0.07, 0.1), (0.3, 0.5), (0.5, 0.8)), 0.12, 0.07, 0.12),
     # Writing, fields and pictures in one ink.
@@ -92,16 +89,8 @@ MATERIALS: dict[str, Skin] = {
     "speckled": lambda rng: _texture(rng, "speckle", color(rng), color(rng), (0.006, 0.06)),
     "checked": lambda rng: _texture(rng, "checker", color(rng), color(rng), (0.01, 0.1)),
     "boarded": lambda rng: _shaded(rng, "planks", color(rng), 0.5, (0.03, 0.15)),
-    "dotted": lambda rng: _texture(rng, "dots", color(rng), color(rng), (0.012, 0.08)),
     "tiled": lambda rng: _texture(rng, "tiles", color(rng), color(rng), (0.02, 0.2), gloss=(0.0, 0.3)),
-    # Crossing bands, as of a blanket.
-    "plaid": lambda rng: _texture(rng, "plaid", color(rng), color(rng), (0.02, 0.15)),
-    "marbled": lambda rng: _texture(rng, "marble", color(rng), color(rng), (0.1, 0.4), gloss=(0.0, 0.4)),
-    # Fields with straight borders, as of patchwork or camouflage.
-    "patched": lambda rng: _texture(rng, "cells", color(rng), color(rng), (0.02, 0.15)),
 }
 """The materials by name, each of which draws its colours from the seed."""
-CALM = frozenset(
-    "uniform_paint worn_paint polished satin timber cardboard lacquered veneer brushed linen concrete enamel".split()
-)
+CALM = frozenset("uniform_paint worn_paint polished satin timber cardboard lacquered veneer brushed".split())
 """The materials without a strong pattern, of which most things and nearly all large ones are made."""

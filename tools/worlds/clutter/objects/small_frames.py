@@ -125,41 +125,6 @@ def goblet(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("goblet", [lathe(profile, skin(rng))])
 
 
-def lattice_cube(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return the edges of a box as bars, at times with bars within: cages, stands, lanterns."""
-    size = [log_uniform(rng, 0.08, 0.35) for _ in range(3)]
-    bar, metal = uniform(rng, 0.004, 0.014), skin(rng)
-    parts = []
-    for axis in range(3):
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        extra = one_of(rng, ((), (), (0.0,), (-0.17, 0.17)))
-        for a in (-0.5, 0.5):
-            for b in (-0.5, 0.5, *extra):
-                at, extent = np.zeros(3), np.full(3, bar)
-                at[i], at[j], extent[axis] = a * size[i], b * size[j], size[axis] + bar
-                parts.append(block(extent, metal, at=at, radius_m=0.001))
-    return grounded("lattice_cube", parts)
-
-
-def coil(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a rope or hose in windings that lie on one another."""
-    radius, bar, windings = uniform(rng, 0.05, 0.16), uniform(rng, 0.005, 0.014), uniform(rng, 2, 5)
-    turn = np.linspace(0, 2 * np.pi * windings, int(24 * windings))
-    reach = radius * (1 - 0.06 * np.sin(0.37 * turn))
-    path = np.stack([reach * np.cos(turn), reach * np.sin(turn), bar * 1.9 * turn / (2 * np.pi)], axis=1)
-    return grounded("coil", [sweep(regular(8, bar), path, skin(rng))])
-
-
-def arch(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a bent strip that stands on its two ends: clips, tunnels, saddles."""
-    radius, width, thick = uniform(rng, 0.04, 0.14), uniform(rng, 0.04, 0.2), uniform(rng, 0.008, 0.03)
-    turn = np.linspace(0, np.pi, 15)
-    path = np.stack([radius * np.cos(turn), np.zeros(15), radius * uniform(rng, 0.6, 1.5) * np.sin(turn)], axis=1)
-    # The carried frame has its first axis in the plane of the path.
-    outline = np.array([[-thick, -width], [thick, -width], [thick, width], [-thick, width]]) / 2
-    return grounded("arch", [sweep(outline, path, skin(rng))])
-
-
 def wire_basket(rng: np.random.Generator, skin: Skin) -> Model:
     """Return a basket of wires or straps: one looks through all of its sides, and things lie in it."""
     x, y, z = uniform(rng, 0.15, 0.45), uniform(rng, 0.15, 0.45), uniform(rng, 0.08, 0.3)
@@ -222,22 +187,9 @@ def binder(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("binder", parts)
 
 
-def grating(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a perforated plate, bars across bars, upright on two feet or lying."""
-    y, z, pitch = uniform(rng, 0.12, 0.4), uniform(rng, 0.12, 0.35), uniform(rng, 0.02, 0.05)
-    bar, metal = pitch * uniform(rng, 0.15, 0.5), skin(rng)
-    parts = [block((0.006, bar, z), metal, at=(0, v, z / 2), radius_m=0.001) for v in np.arange(-y / 2, y / 2, pitch)]
-    parts += [block((0.006, y, bar), metal, at=(0, 0, h), radius_m=0.001) for h in np.arange(bar, z, pitch)]
-    if chance(rng, 0.5):
-        return grounded("grating", [part.moved((0, 0, 0), about_y(np.pi / 2)) for part in parts])
-    parts += [block((0.08, 0.02, 0.012), metal, at=(0, s * 0.35 * y, 0.006)) for s in (-1, 1)]
-    return grounded("grating", parts)
-
-
 SMALL_FRAMES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
     f.__name__: f for f in (
-        open_vessel, tray, crate, bent_bar, wire_rack, sprig, goblet, lattice_cube, coil, arch, wire_basket, sleeve,
-        bent_panel, binder, grating,
+        open_vessel, tray, crate, bent_bar, wire_rack, sprig, goblet, wire_basket, sleeve, bent_panel, binder,
     )
 }  # fmt: skip
 """The recipes of hollow and open small things by name."""

@@ -194,19 +194,6 @@ def wedge(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("wedge", [part.moved((0, 0, 0), about_x(np.pi / 2))])
 
 
-def spool(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return two discs joined by a core: spools, dumb-bells, yo-yos, standing or lying."""
-    disc, core, length = uniform(rng, 0.03, 0.11), uniform(rng, 0.2, 0.7), uniform(rng, 0.06, 0.25)
-    edge, outer = length * uniform(rng, 0.06, 0.25), skin(rng)
-    parts = [
-        cylinder(disc, edge, outer),
-        cylinder(disc, edge, outer, at=(0, 0, length - edge)),
-        cylinder(disc * core, length - edge, skin(rng), at=(0, 0, edge / 2)),
-    ]
-    turn = about_y(np.pi / 2) if chance(rng, 0.5) else np.eye(3)
-    return grounded("spool", [part.moved((0, 0, 0), turn) for part in parts])
-
-
 def ribbed_pack(rng: np.random.Generator, skin: Skin) -> Model:
     """Return a pack of equal pieces under one wrapping: a box with rounded ribs."""
     pieces, x, y, z = count(rng, 2, 6), uniform(rng, 0.06, 0.2), uniform(rng, 0.03, 0.08), uniform(rng, 0.06, 0.25)
@@ -220,32 +207,10 @@ def ribbed_pack(rng: np.random.Generator, skin: Skin) -> Model:
     return Model(kind="ribbed_pack", parts=tuple(parts), surfaces=(top,))
 
 
-def lidded_case(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a case with a lid that stands out and grips at its ends."""
-    x, y, z = uniform(rng, 0.1, 0.45), uniform(rng, 0.12, 0.5), uniform(rng, 0.06, 0.3)
-    lid, lip = z * uniform(rng, 0.12, 0.35), uniform(rng, 0.004, 0.015)
-    cover = skin(rng)
-    parts = [
-        block((x, y, z - lid / 2), skin(rng), at=(0, 0, (z - lid / 2) / 2)),
-        block((x + 2 * lip, y + 2 * lip, lid), cover, at=(0, 0, z - lid / 2), radius_m=0.006),
-    ]
-    parts += [block((0.3 * x, 0.02, 0.02), cover, at=(0, s * (y / 2 + 0.008), 0.5 * z)) for s in (-1, 1)]
-    top = Surface(center_m=(0.0, 0.0, z), half_m=(x / 2, y / 2))
-    return Model(kind="lidded_case", parts=tuple(parts), surfaces=(top,))
-
-
-def slab(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a flat piece with rounded corners: tablets, boards, bars."""
-    semi = (uniform(rng, 0.06, 0.18), uniform(rng, 0.04, 0.14), uniform(rng, 0.005, 0.025))
-    part = superellipsoid(semi, (0.15, uniform(rng, 0.15, 0.6)), skin(rng))
-    top = Surface(center_m=(0.0, 0.0, 2 * semi[2]), half_m=(0.7 * semi[0], 0.7 * semi[1]))
-    return Model(kind="slab", parts=grounded("slab", [part]).parts, surfaces=(top,))
-
-
 SMALL_SOLIDS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
     f.__name__: f for f in (
         carton, book, tin, turned, blob, superquadric, composed, ring, tool, device, framed, paper_pile, star_prism,
-        wedge, spool, ribbed_pack, lidded_case, slab,
+        wedge, ribbed_pack,
     )
 }  # fmt: skip
 """The recipes of massive small things by name."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Surface
-from tools.worlds.clutter.draws import about_x, chance, count, log_uniform, uniform
+from tools.worlds.clutter.draws import chance, count, log_uniform, uniform
 from tools.worlds.clutter.objects.materials import Skin
-from tools.worlds.clutter.objects.solids import block, cylinder, open_box, regular, sweep, warped
+from tools.worlds.clutter.objects.solids import block, cylinder, regular, sweep, warped
 from tools.worlds.clutter.objects.units import FREE_M, four_legs, fronts, level_top
 
 
@@ -184,48 +184,6 @@ def cube_shelf(rng: np.random.Generator, skin: Skin) -> Model:
     return Model(kind="cube_shelf", parts=tuple(parts), surfaces=tuple(surfaces))
 
 
-def ladder_shelf(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return boards of growing depth between two ladders that lean back."""
-    width, height, rows = uniform(rng, 0.5, 1.0), uniform(rng, 1.2, 1.9), count(rng, 3, 5)
-    board, bar, deep = skin(rng), skin(rng), uniform(rng, 0.35, 0.5)
-    parts, surfaces = [], []
-    for s in (-1, 1):
-        y = s * width / 2
-        for x0, x1 in ((deep, 0.03), (0.0, 0.0)):
-            parts.append(sweep(regular(4, 0.025), [(x0, y, 0.02), (x1, y, height)], bar))
-    for i in range(rows):
-        z = height * (i + 0.5) / (rows + 0.3)
-        depth = deep * (1 - z / height) + 0.1
-        parts.append(block((depth, width, 0.022), board, at=(depth / 2 - 0.02, 0, z)))
-        half = (depth / 2 - 0.02, width / 2 - 0.04)
-        surfaces.append(
-            Surface(
-                center_m=(depth / 2 - 0.02, 0.0, z + 0.011), half_m=half, headroom_m=0.9 * height / (rows + 0.3) - 0.03
-            )
-        )
-    low = min(float(part.vertices[:, 2].min()) for part in parts)
-    shifted = [replace(s, center_m=(s.center_m[0], 0.0, s.center_m[2] - low)) for s in surfaces]
-    return Model(kind="ladder_shelf", parts=tuple(part.moved((0, 0, -low)) for part in parts), surfaces=tuple(shifted))
-
-
-def trolley(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return two or three trays between posts on wheels."""
-    depth, width, height = uniform(rng, 0.35, 0.55), uniform(rng, 0.45, 0.9), uniform(rng, 0.6, 1.0)
-    metal, pan, wheel = skin(rng), skin(rng), skin(rng)
-    parts, surfaces = [], []
-    zs = np.linspace(0.14, height - 0.08, count(rng, 2, 3))
-    for z in zs:
-        inner = open_box("pan", (depth, width, 0.06), 0.008, pan)
-        parts += [part.moved((0, 0, z)) for part in inner.parts]
-        surfaces.append(level_top(depth - 0.05, width - 0.05, float(z) + 0.008, headroom=float(zs[1] - zs[0]) - 0.05))
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            x, y = sx * (depth / 2 - 0.012), sy * (width / 2 - 0.012)
-            parts.append(cylinder(0.012, height - 0.06, metal, at=(x, y, 0.06), segments=10))
-            parts.append(cylinder(0.035, 0.02, wheel, segments=16).moved((x, y - 0.01, 0.035), about_x(np.pi / 2)))
-    return Model(kind="trolley", parts=tuple(parts), surfaces=tuple(surfaces))
-
-
 def sofa(rng: np.random.Generator, skin: Skin) -> Model:
     """Return upholstery for one to four, with or without arms and back; its seat carries cushions."""
     width, depth, seat = uniform(rng, 0.6, 2.4), uniform(rng, 0.6, 1.0), uniform(rng, 0.32, 0.48)
@@ -289,8 +247,7 @@ def pallet(rng: np.random.Generator, skin: Skin) -> Model:
 
 SUPPORTS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
     f.__name__: f for f in (
-        table, round_table, trestle, cabinet, counter, shelf, rack, cube_shelf, ladder_shelf, trolley, sofa, bed,
-        pallet,
+        table, round_table, trestle, cabinet, counter, shelf, rack, cube_shelf, sofa, bed, pallet,
     )
 }  # fmt: skip
 """The recipes of supports by name."""

@@ -103,26 +103,8 @@ def tower(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("tower", parts) if not surfaces else Model(kind="tower", parts=tuple(parts), surfaces=surfaces)
 
 
-def locker(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a tall narrow body with slotted doors."""
-    depth, width, height = uniform(rng, 0.35, 0.6), uniform(rng, 0.25, 0.6), uniform(rng, 1.0, 2.0)
-    metal, door, dark = skin(rng), skin(rng), skin(rng)
-    parts = [block((depth, width, height), metal, at=(0, 0, height / 2), radius_m=0.002)]
-    doors = count(rng, 1, 4)
-    for i in range(doors):
-        high, z = height / doors, (i + 0.5) * height / doors
-        parts.append(block((0.014, width - 0.02, high - 0.02), door, at=(depth / 2 + 0.004, 0, z)))
-        parts += [
-            block((0.004, 0.5 * width, 0.01), dark, at=(depth / 2 + 0.012, 0, z + high * 0.3 + k * 0.025))
-            for k in range(3)
-        ]
-        parts.append(block((0.02, 0.02, 0.07), dark, at=(depth / 2 + 0.015, 0.4 * width, z)))
-    surfaces = (level_top(depth, width, height),) if height < 1.5 else ()
-    return Model(kind="locker", parts=tuple(parts), surfaces=surfaces)
-
-
 UNITS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f for f in (appliance, kitchen_unit, tower, locker)
+    f.__name__: f for f in (appliance, kitchen_unit, tower)
 }
 """The recipes of units by name."""
 
