@@ -43,9 +43,9 @@ _GROUPS = {
 
 # Commands and options of earlier releases.
 _MOVED = {
-    "evaluate-views": "`paper views` in the folder tools of the source tree",
-    "evaluate-alignment": "`paper alignment` in the folder tools of the source tree",
-    "evaluate-navigation": "`paper navigation` in the folder tools of the source tree",
+    "evaluate-views": "`paper --table views` in the folder tools of the source tree",
+    "evaluate-alignment": "`paper --table alignment` in the folder tools of the source tree",
+    "evaluate-navigation": "`paper --table navigation` in the folder tools of the source tree",
     "--unproven": "--allow-unverified",
     "--own-workers": "--use-current-workers",
 }

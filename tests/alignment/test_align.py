@@ -10,7 +10,7 @@ from hickory_stream.alignment.methods import METHODS, align_by
 from hickory_stream.alignment.object_map import object_map, taken
 from hickory_stream.geometry.rigid import apply, invert
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
-from tools.evaluation.alignment_table import error_of
+from tools.evaluation.alignment_error import error_of
 from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, simulate_ambiguous
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import normalised_square, overlap_b

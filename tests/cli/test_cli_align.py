@@ -16,7 +16,6 @@ from hickory_stream.map_folder.manifest import MANIFEST
 from hickory_stream.map_folder.writer import create_map_folder
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.cli.test_cli import answer, refusal, said
-from tools.paper_tables.__main__ import main as paper
 
 B_FROM_WORLD = frame(35, 1, 2)
 
@@ -78,18 +77,6 @@ def test_a_map_of_another_version_is_refused(maps, tmp_path):
     (old / MANIFEST).write_text(json.dumps(entry | {"format": 0}))
     assert "format 0" in refusal("align", maps["a"], old)
     assert "format 0" in refusal("merge", maps["a"], old, "-o", tmp_path / "m")
-
-
-def test_the_table_of_two_methods(maps, capsys):
-    pair = [maps["a"], maps["b"]]
-    assert paper(["alignment", *pair, "--method", "sq", "roman-one", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["rows"]
-    assert [row["method"] for row in told] == ["sq", "roman-one"]
-    assert all(row["num_pairs"] >= 8 and row["success"] is None for row in told)
-    assert paper(["alignment", *pair, maps["a"]]) == 2
-    assert "two for each scene" in capsys.readouterr().err
-    assert paper(["alignment", *pair, "--truth", "x"]) == 2
-    assert "one for each map" in capsys.readouterr().err
 
 
 def test_a_place_has_no_negative_zero_and_a_reason_its_maps():

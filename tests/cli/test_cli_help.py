@@ -146,7 +146,7 @@ def test_the_help_lists_each_command_in_its_group(capsys):
     (["export", "m", "--format", "gbl"], "found gbl, did you mean glb?"),
     (["inspect", "m", "--min-sise", "1"], "found --min-sise, did you mean --min-size?"),
     (["inspect", "m", "n"], "found n, which is not expected; see hickory-stream inspect --help"),
-    (["evaluate-views", "a.mcap"], "which is now `paper views` in the folder tools"),
+    (["evaluate-views", "a.mcap"], "which is now `paper --table views` in the folder tools"),
     ([*PLAN, "--unproven"], "found --unproven, which is now --allow-unverified"),
     (["resume", "m", "--own-workers"], "which is now --use-current-workers"),
 ])  # fmt: skip

@@ -4,16 +4,17 @@ import cv2
 import numpy as np
 import pytest
 from hickory_stream.changes.stationarity import Stationarity, StayCount, write_stationarity
-from hickory_stream.evaluation.truth import Truth, TruthObject, truth_record
+from hickory_stream.evaluation.truth import Truth, TruthObject, load_truth, truth_record
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.navigation.free_space import obstacle_grid
-from hickory_stream.navigation.robot import Part, Posture, Robot
+from hickory_stream.navigation.robot import Part, Posture, Robot, load_robot
 from tests.cli.test_cli import answer, refusal, said
 from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table, tracked
-from tools.paper_tables.__main__ import main as paper
+from tools.evaluation.navigation_table import score_saved_map
 
 CRATE = boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))
 
@@ -166,7 +167,7 @@ def test_a_low_posture_still_marks_what_the_tall_robot_hits():
     assert cells[0] < cells[1] == cells[2]
 
 
-def test_paper_compares_obstacles_of_one_map(folder, tmp_path, capsys):
+def test_obstacles_of_one_map_are_compared_with_truth(folder, tmp_path):
     truth = tmp_path / "truth"
     (truth / "meshes").mkdir(parents=True)
     write_glb(box_mesh((0.8, 0.6, 0.6), (90, 90, 90)), truth / "meshes/1.glb")
@@ -179,10 +180,8 @@ def test_paper_compares_obstacles_of_one_map(folder, tmp_path, capsys):
     # A floor around the origin: the grid of the truth is the quarter of it that the room covers.
     record["structure"] = ["meshes/floor.glb"]
     (truth / "truth.json").write_text(json.dumps(record))
-    command = ["navigation", str(folder), "--truth", str(truth), "--trials", "4", "--seeds", "1"]
-    assert paper([*command, "--unknown", "free", "--cell", "0.06", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
-    assert [row["name"] for row in rows] == ["mesh-obb", "mesh-full", "layer-4"]
-    assert all(row["pairs"] == 4 for row in rows)
-    assert paper([*command, "--robot", "b2"]) == 2
-    assert "is not round" in capsys.readouterr().err
+    rows = score_saved_map(
+        open_map(folder), load_truth(truth), load_robot("point"), cell_m=0.06, unknown="free", trials=4, seeds=[0]
+    )
+    assert [row.name for row in rows] == ["mesh-obb", "mesh-full", "layer-4"]
+    assert all(row.pairs == 4 for row in rows)

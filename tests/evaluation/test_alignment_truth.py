@@ -16,8 +16,8 @@ from hickory_stream.geometry.rigid import (
 from hickory_stream.pictures.render_alignment import render_alignment
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.mapping.mapping_fixtures import view
-from tools.evaluation.alignment_table import format_table, row_of, table_json
 from tools.evaluation.alignment_truth import TrueTrajectory, pose_at, read_true_trajectory, world_from_map
+from tools.paper_tables.alignment import row_of
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
@@ -109,19 +109,14 @@ def test_a_missing_file_and_the_truth_of_another_log_are_refused(tmp_path):
         world_from_map(map_with_views(body_poses()), other, "m")
 
 
-def test_the_table_has_a_line_for_each_scene_and_the_means():
+def test_a_row_has_the_errors_of_an_answer_or_the_refusal():
     items, b_from_world = furniture(9, 2), frame(30, 1, 0)
     map_a, map_b = object_map(snapshot_of(items, np.eye(4))), object_map(snapshot_of(items, b_from_world, 1))
-    good = row_of("one", "sq", align(map_a, map_b), invert(b_from_world))
-    bad = row_of("two", "sq", align(map_a, object_map(snapshot_of([], np.eye(4)))), np.eye(4))
-    text = format_table([good, bad])
-    assert "success" in text
-    assert "empty" in text
-    assert "1 of 2" in text
-    told = table_json([good, bad, row_of("three", "sq", align(map_a, map_b), None)])
-    assert [row["success"] for row in told] == [True, False, None]
-    assert told[0]["num_pairs"] == 9
-    assert told[0]["translation_m"] < 0.02
+    good = row_of(align(map_a, map_b), invert(b_from_world))
+    assert (good["num_pairs"], good["refusal"]) == (9, None)
+    assert good["translation_m"] < 0.02
+    refused = row_of(align(map_a, object_map(snapshot_of([], np.eye(4)))), np.eye(4))
+    assert (refused["num_pairs"], refused["translation_m"], refused["refusal"]) == (0, None, "empty")
 
 
 def test_the_picture_shows_both_maps_and_what_was_said_of_them():

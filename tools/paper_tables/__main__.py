@@ -1,5 +1,4 @@
 """Measure the paper's tables: `tools/paper [--table NAME] [--data DIR] [-o FOLDER] [--quick]`."""
-# `tools/paper views|alignment|navigation ...` compares on one's own logs and maps instead.
 
 import argparse
 import sys
@@ -12,7 +11,6 @@ import numpy as np
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError
-from tools.paper_tables import own_maps
 from tools.paper_tables.alignment import alignment_table
 from tools.paper_tables.counterparts import write_counterparts
 from tools.paper_tables.data_sets import DATA_SETS
@@ -25,8 +23,6 @@ from tools.paper_tables.workshop import FULL, QUICK, Workshop
 TABLES = {
     "views": views_table, "shapes": storage_table, "alignment": alignment_table, "navigation": navigation_table,
 }  # fmt: skip
-# Comparisons on one's own logs and maps, which are named after the word.
-OWN = ("views", "alignment", "navigation")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,16 +37,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("-o", "--out", type=Path, default=Path("paper_tables"), metavar="FOLDER")
     parser.add_argument("--workers", type=int, metavar="N", help="child processes that build shapes")
     parser.add_argument("--quick", action="store_true", help="one short scene of each data set")
-    arguments = sys.argv[1:] if arguments is None else arguments
+    options = parser.parse_args(arguments)
     try:
-        if arguments and arguments[0] in OWN:
-            return own_maps.main(arguments)
-        options = parser.parse_args(arguments)
-        try:
-            return _run(options)
-        except OSError as error:
-            print(f"tools/paper: cannot write into {options.out}: {error}", file=sys.stderr)
-            return 2
+        return _run(options)
+    except OSError as error:
+        print(f"tools/paper: cannot write into {options.out}: {error}", file=sys.stderr)
+        return 2
     except HickoryError as error:
         print(f"tools/paper: {error}", file=sys.stderr)
         return 2

@@ -3,11 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.methods import Method, align_by
 from hickory_stream.cli.maps.align import objects_of
 from hickory_stream.errors import HickoryError
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.map_folder.saved_map import open_map
-from tools.evaluation.alignment_table import row_of, table_json
+from tools.evaluation.alignment_error import error_of
 from tools.evaluation.alignment_truth import true_a_from_b
 from tools.paper_tables.logs import Pair, apartment_pairs, kimera_pairs, nus_pairs
 from tools.paper_tables.published import ALIGNMENT
@@ -76,12 +81,20 @@ def _answers(pair: Pair, shop: Workshop) -> dict[Method, Any]:
     def measure() -> dict[str, Any]:
         saved_a, saved_b = (open_map(folder) for folder in folders)
         true, a, b = true_a_from_b(saved_a, saved_b, pair.truths), objects_of(saved_a), objects_of(saved_b)
-        rows = [row_of(pair.scene, method, align_by(method, a, b), true) for method in _METHODS]
-        return {row["method"]: row for row in table_json(rows)}
+        return {method: row_of(align_by(method, a, b), true) for method in _METHODS}
 
     name = f"alignment-{pair.data_set}-{pair.scene}"
     found: dict[Method, Any] = shop.once(name, {"maps": [folder.name for folder in folders]}, measure)
     return found
+
+
+def row_of(answer: Alignment | NoAlignment, true_a_from_b: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the pairs and the errors of an answer, None where it refuses, and the reason of a refusal."""
+    if not isinstance(answer, Alignment):
+        return {**dict.fromkeys(_FIGURES), "num_pairs": 0, "refusal": answer.refusal.value}
+    error = error_of(answer.a_from_b, true_a_from_b, apply(invert(true_a_from_b), answer.center_a))
+    values = (len(answer.pairs), error.origin_m, error.rotation_deg, error.translation_m)
+    return {**dict(zip(_FIGURES, values, strict=True)), "refusal": None}
 
 
 def _cells(found: dict[str, Any], paper: tuple[float | None, ...]) -> tuple[Cell, ...]:

@@ -9,11 +9,9 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import HickoryError
 from hickory_stream.evaluation.data_sets import open_truth
-from hickory_stream.shapes.build import make_reconstructor
-from hickory_stream.sinks.disk_sink import DiskSink
 from players import open_source
 from tools.benchmarks.common.intervals import bootstrap, wilson
-from tools.evaluation.views.trials import STRATEGIES, try_views
+from tools.evaluation.view_trials import STRATEGIES, try_views
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
 from tools.paper_tables.logs import logs_of
 from tools.paper_tables.published import VIEWS
@@ -68,13 +66,11 @@ def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[
 def _objects(log: Log, folder: Path, shop: Workshop) -> list[Any]:
     def measure() -> list[Any]:
         truth = open_truth(folder)
-        config = MapperConfig()
-        single = {"single_view": make_reconstructor("single_view", config.shapes)}
         (file,) = log.files  # a folder of HOPE-Video, or a log of our renderer
         source = open_source(file)
         with tempfile.TemporaryDirectory(prefix="hickory-views-") as temporary:
             try:
-                trials = try_views(source, truth, config, single, Path(temporary) / "map", DiskSink)["single_view"]
+                trials = try_views(source, truth, MapperConfig(), Path(temporary) / "map")
             finally:
                 source.close()
         return [

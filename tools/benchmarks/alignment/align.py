@@ -22,7 +22,7 @@ from tools.benchmarks.alignment.large_pair import large_pair
 from tools.benchmarks.common.cached_runs import apartment_map, frame_of
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
-from tools.evaluation.alignment_table import error_of
+from tools.evaluation.alignment_error import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import Trial, noise_floor, run_trial
 

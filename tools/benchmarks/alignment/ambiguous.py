@@ -12,7 +12,7 @@ import numpy as np
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from tools.benchmarks.common.figures import Figure, Options, figure, share
-from tools.evaluation.alignment_table import error_of
+from tools.evaluation.alignment_error import error_of
 from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, Draw, simulate_ambiguous, uniform
 from tools.evaluation.simulated_maps.furnished import furnished, shared_apartment, unrelated_apartments
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulatedPair, SimulationConfig, simulate_pair

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from tools.benchmarks.common.processes import in_child
-from tools.evaluation.alignment_table import error_of
+from tools.evaluation.alignment_error import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.trial import overlap_b
 

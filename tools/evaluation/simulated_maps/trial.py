@@ -10,7 +10,7 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.registration import information
 from hickory_stream.geometry.rigid import apply, invert
-from tools.evaluation.alignment_table import AlignmentError, error_of
+from tools.evaluation.alignment_error import AlignmentError, error_of
 from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 
 # The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.

@@ -1,14 +1,9 @@
-"""One log, every strategy: each true object reconstructed from the one view that each strategy chooses of its object.
-
-A log is played once. The strategies change which view is the best, not the tracks, so that all of them choose among the
-views of the same objects, and an object's rows differ by the chosen view alone. Beside them stands the best view there
-is, as truth has it, of those that were tried: the strategies' and the ones that the map keeps, one a direction.
-
-Every view that a run had of its objects, kept by a sink: what all strategies of choosing one can choose from.
-"""
+"""The paper's experiment on views: each object reconstructed from the one view that each strategy would choose."""
+# A log is played once. The strategies change which view is the best, not the tracks, so that all of them choose among
+# the views of the same objects, which a sink keeps, and an object's rows differ by the chosen view alone.
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -19,7 +14,6 @@ from numpy.typing import NDArray
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.modes import Progress
 from hickory_stream.engine.play import play
 from hickory_stream.evaluation.evaluate import true_surface
 from hickory_stream.evaluation.match import TruthScore, meshes_of, score_map
@@ -30,14 +24,15 @@ from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.inspection.supports import supports_of
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop, write_crop
-from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score, view_of
 from hickory_stream.mapping.rules.support_graph import Relation
-from hickory_stream.ports import NoShape, Reconstructor, ShapeInputs, Sink, Source
+from hickory_stream.ports import NoShape, Reconstructor, ShapeInputs, Source
 from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject, View
+from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.shapes.mesh_validation import usable
+from hickory_stream.sinks.disk_sink import DiskSink
 
 
 class EveryView:
@@ -91,27 +86,18 @@ def largest_of_frames(views: Iterable[View]) -> list[View]:
 
 OURS: Strategy = "s_score"
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
-BEST = "best"
-"""The best of the views that were tried, by truth: what no choice among them can surpass."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewTrial:
-    """A true object that counts, and what each choice of a view made of it."""
+    """A true object that counts, and the score of each strategy's view: None without a shape, {} if missed."""
 
-    # `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
-    # shape. It is empty for an object that the map misses.
-    truth_id: int
-    kind: str
     diameter_m: float
     scores: Mapping[str, SurfaceScore | None]
 
 
-def try_views(
-    source: Source, truth: Truth, config: MapperConfig, reconstructors: Mapping[str, Reconstructor], out: Path,
-    saver: Callable[[MapFolder], Sink], progress: Callable[[Progress], None] = lambda _: None,
-) -> dict[str, tuple[ViewTrial, ...]]:  # fmt: skip
-    # `saver` makes the sink that saves the map.
+def try_views(source: Source, truth: Truth, config: MapperConfig, out: Path) -> tuple[ViewTrial, ...]:
+    """Play a log into the map folder `out`, and reconstruct each object from one view, by `single_view`."""
     # Raises HickoryError: the log, the map folder or the truth cannot be used.
     mapping = replace(
         config.mapping,
@@ -119,24 +105,19 @@ def try_views(
         requests=replace(config.mapping.requests, max_failures=0),
     )
     config = replace(config, mapping=mapping)
+    reconstructor = make_reconstructor("single_view", config.shapes)
     with tempfile.TemporaryDirectory(prefix="hickory-views-") as temporary:
         views = EveryView(Path(temporary), config.run)
-        play(
-            Mapper(config, out=out, overwrite=True),
-            source,
-            sinks=lambda folder: [(saver(folder), True), (views, True)],
-            progress=progress,
-        )
+        mapper = Mapper(config, out=out, overwrite=True)
+        play(mapper, source, sinks=lambda folder: [(DiskSink(folder), True), (views, True)], progress=lambda _: None)
         saved = open_map(out)
         truth = placed_truth(saved, truth).truth
         rows = [row for row in score_map(saved.snapshot, meshes_of(saved), truth).truth if row.counts]
         seen = _seen_objects(saved.snapshot, views, config.mapping)
         items = {item.id: item for item in truth.objects}
-        surfaces = {row.truth_id: true_surface(truth, items[row.truth_id]) for row in rows}
-        return {
-            name: tuple(_trial(row, seen, surfaces[row.truth_id], reconstructor, views.folder) for row in rows)
-            for name, reconstructor in reconstructors.items()
-        }
+        return tuple(
+            _trial(row, seen, true_surface(truth, items[row.truth_id]), reconstructor, views.folder) for row in rows
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -179,17 +160,17 @@ def chosen_views(item: TrackedObject, seen: Sequence[View]) -> dict[str, View]:
 def _trial(
     row: TruthScore, seen: Mapping[int, _Seen], true: TrueSurface, reconstructor: Reconstructor, folder: Path
 ) -> ViewTrial:
-    blank = ViewTrial(truth_id=row.truth_id, kind=row.kind, diameter_m=diameter_m(true.mesh.vertices), scores={})
-    if row.map_id is None:
-        return blank
-    of = seen[row.map_id]
-    chosen = chosen_views(of.item, of.views)
-    kept = {view.name for view in of.views}
-    names = sorted({view.name for view in (*chosen.values(), *of.item.views)} & kept)
-    scores = {name: _score(of, name, true, reconstructor, folder, seed=row.truth_id) for name in names}
-    by_strategy = {strategy: scores.get(view.name) for strategy, view in chosen.items()}
-    best = max((one for one in scores.values() if one is not None), key=lambda one: one.f1_5pct, default=None)
-    return replace(blank, scores={**by_strategy, BEST: best})
+    scores: dict[str, SurfaceScore | None] = {}
+    if row.map_id is not None:
+        of = seen[row.map_id]
+        chosen = {strategy: view.name for strategy, view in chosen_views(of.item, of.views).items()}
+        kept = {view.name for view in of.views}
+        made = {
+            name: _score(of, name, true, reconstructor, folder, seed=row.truth_id)
+            for name in sorted(kept.intersection(chosen.values()))
+        }
+        scores = {strategy: made.get(name) for strategy, name in chosen.items()}
+    return ViewTrial(diameter_m=diameter_m(true.mesh.vertices), scores=scores)
 
 
 def _score(
