@@ -17,6 +17,7 @@ from hickory_stream.navigation.occupancy import GridFrame
 from hickory_stream.navigation.search import Path
 from hickory_stream.navigation.stand_ins import Obstacle, early_obstacles
 from hickory_stream.records import MapSnapshot, TrackedObject
+from players.messages.ros_messages import RosMessages
 
 FRAME_ID = "map"
 GRID, UPDATE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"
@@ -50,16 +51,19 @@ class Goal:
 
 
 @cache
-def store() -> Any:
-    """Return the types of ROS 2 Humble with `vision_msgs` and `map_msgs`."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+def _messages() -> RosMessages:
+    from rosbags.typesys import get_types_from_msg
 
-    found = get_typestore(Stores.ROS2_HUMBLE)
-    types: dict[str, Any] = {}
+    messages, types = RosMessages(), dict[str, Any]()
     for name, text in _DEFINITIONS.items():
         types.update(get_types_from_msg(text, name))
-    found.register(types)
-    return found
+    messages.store.register(types)
+    return messages
+
+
+def store() -> Any:
+    """Return the types of ROS 2 Humble with `vision_msgs` and `map_msgs`."""
+    return _messages().store
 
 
 def definition_of(type_name: str) -> str:
@@ -233,25 +237,21 @@ def _marker(
 
 
 def _new(type_name: str, **fields: Any) -> Any:
-    return store().types[type_name](**fields)
+    return _messages().make(type_name, **fields)
 
 
 def _header(stamp_ns: int, frame: str = FRAME_ID) -> Any:
-    seconds, nanoseconds = divmod(stamp_ns, 10**9)
-    stamp = _new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-    return _new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+    return _messages().header(stamp_ns, frame)
 
 
 def _vector(values: NDArray[np.float64]) -> Any:
-    x, y, z = np.asarray(values, dtype=np.float64).tolist()
-    return _new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+    return _messages().vector("geometry_msgs/msg/Vector3", values)
 
 
 def _pose(position: NDArray[np.float64], rotation: Any = None) -> Any:
-    x, y, z = np.asarray(position, dtype=np.float64).tolist()
     return _new(
         "geometry_msgs/msg/Pose",
-        position=_new("geometry_msgs/msg/Point", x=x, y=y, z=z),
+        position=_messages().vector("geometry_msgs/msg/Point", position),
         orientation=rotation if rotation is not None else _yaw(0.0),
     )
 

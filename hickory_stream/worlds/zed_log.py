@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert
-from hickory_stream.worlds.ros_messages import RosMessages
+from players.messages.ros_messages import RosMessages
 
 COLOR_TOPIC = "/zed/zed_node/rgb/color/rect/image/compressed"
 COLOR_INFO_TOPIC = "/zed/zed_node/rgb/color/rect/camera_info"

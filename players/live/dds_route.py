@@ -12,7 +12,7 @@ from urllib.parse import parse_qs
 from hickory_stream.errors import RecordingError
 from players.live import dds_domain as dds
 from players.live.inbox import Inbox
-from players.live.transport import Health
+from players.live.transport import Health, ThreadedRoute
 from players.logs.containers import Topic
 
 _ADDRESS = re.compile(r"dds://(?P<domain>\d{0,3})/?(?:\?(?P<query>.*))?")
@@ -23,8 +23,10 @@ _AGAIN_S = 1.0
 KNOWN = "dds://[DOMAIN][?interface=NAME&peer=HOST&peer=HOST]"
 
 
-class DdsRoute:
+class DdsRoute(ThreadedRoute):
     """The `LiveSource` of `dds:`."""
+
+    thread_name = "dds"
 
     def __init__(self, uri: str) -> None:
         """Parse the address. Raises `RecordingError`: it is none, or Cyclone DDS is not installed."""
@@ -38,14 +40,12 @@ class DdsRoute:
         if interfaces and not peers:
             raise RecordingError(f"{uri} names an interface and no peer: name the robot, e.g. &peer=192.168.123.161")
         dds.check_installed()
-        self.uri = uri
+        super().__init__(uri, "")
         self._domain = domain
         self._interface = interfaces[0] if interfaces else _LOOPBACK
         self._peers = tuple(peers or (_LOOPBACK,))
         self.kind = f"ROS 2 over DDS, domain {domain}, interface {self._interface}, peers {', '.join(self._peers)}"
         self._lock = threading.RLock()
-        self._stopped = threading.Event()
-        self._thread: threading.Thread | None = None
         self._problem = "the domain was not joined yet"
         self._writers_of: dict[str, tuple[str, str]] = {}
         self._types: dict[str, tuple[str, bool, bool]] = {}
@@ -56,11 +56,6 @@ class DdsRoute:
         self._offers: dict[str, tuple[str, bool]] = {}
         self._writers: dict[str, Any] = {}
         self._listeners: dict[str, Callable[[bytes], None]] = {}
-
-    def start(self, inbox: Inbox) -> None:
-        """Join the domain and receive in a separate thread."""
-        self._thread = threading.Thread(target=self._run, args=(inbox,), name="dds", daemon=True)
-        self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
         """Subscribe to topics with the QoS of their publishers."""
@@ -74,12 +69,6 @@ class DdsRoute:
                 return Health(is_connected=False, problem=self._problem)
             notes = [f"{name} is published as {other}, too" for name, other in sorted(self._other_types.items())]
         return Health(is_connected=True, problem="; ".join(notes))
-
-    def stop(self) -> None:
-        """Leave the domain."""
-        self._stopped.set()
-        if self._thread is not None:
-            self._thread.join(10.0)
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours: reliable, and latched for late subscribers if asked."""

@@ -18,7 +18,7 @@ from typing import Any
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
 from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS, Inbox
-from players.live.transport import Health
+from players.live.transport import Health, ThreadedRoute
 from players.logs.containers import Topic
 from players.logs.mcap_records import make_topic
 
@@ -128,21 +128,19 @@ class _OtherProtocolError(Exception):
     """A WebSocket that chose none of the subprotocols."""
 
 
-class FoxgloveRoute:
+class FoxgloveRoute(ThreadedRoute):
     """The `LiveSource` of `foxglove://HOST[:PORT]`."""
 
-    kind = "Foxglove WebSocket"
+    kind, thread_name, patience_s = "Foxglove WebSocket", "foxglove", 5.0
 
     def __init__(self, uri: str) -> None:
         """Parse the address. Raises `RecordingError`: it is none."""
         found = _ADDRESS.fullmatch(uri)
         if found is None or not 0 < int(found["port"] or _PORT) < 65536:
             raise RecordingError(f"found {uri}, expected foxglove://HOST[:{_PORT}]; without a HOST, this machine")
-        self.uri = uri
+        super().__init__(uri, "")
         self._peer = f"{found['host'] or '127.0.0.1'}:{found['port'] or _PORT}"
         self._lock = threading.RLock()
-        self._stopped = threading.Event()
-        self._thread: threading.Thread | None = None
         self._connection: Any = None
         self._problem = f"{self._peer} was not reached yet"
         self._note = ""
@@ -153,11 +151,6 @@ class FoxgloveRoute:
         self._subscribed: dict[int, int] = {}
         self._return = FoxgloveReturn()
         self._heard: dict[str, Callable[[bytes], None]] = {}
-
-    def start(self, inbox: Inbox) -> None:
-        """Connect and receive in a separate thread, with retries."""
-        self._thread = threading.Thread(target=self._run, args=(inbox,), name="foxglove", daemon=True)
-        self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
         """Subscribe to the channels of topics."""
@@ -180,8 +173,7 @@ class FoxgloveRoute:
         connection = self._connection
         if connection is not None:
             connection.close()
-        if self._thread is not None:
-            self._thread.join(5.0)
+        super().stop()
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours."""

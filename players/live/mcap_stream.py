@@ -9,13 +9,12 @@ from __future__ import annotations
 import os
 import select
 import sys
-import threading
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from players.live.inbox import MAX_MESSAGE_BYTES, Inbox
-from players.live.transport import Health
+from players.live.transport import Health, ThreadedRoute
 from players.logs import mcap_records as mcap
 from players.logs.decompression import UnpackError
 
@@ -28,36 +27,15 @@ class _NotMcapError(Exception):
     """Bytes that are no MCAP."""
 
 
-class McapStream:
+class McapStream(ThreadedRoute):
     """The `LiveSource` of `mcap:PATH` and `-`."""
 
-    kind = "MCAP stream"
+    kind, thread_name, patience_s = "MCAP stream", "mcap-stream", 2.0
 
     def __init__(self, uri: str, path: Path | None) -> None:
-        self.uri = uri
+        super().__init__(uri, f"nothing was written to {path or 'standard input'} yet")
         self._path = path
         self._described = mcap.Described()
-        self._stopped = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._health = Health(is_connected=False, problem=f"nothing was written to {path or 'standard input'} yet")
-
-    def start(self, inbox: Inbox) -> None:
-        """Read in a separate thread."""
-        self._thread = threading.Thread(target=self._run, args=(inbox,), name="mcap-stream", daemon=True)
-        self._thread.start()
-
-    def subscribe(self, names: Collection[str]) -> None:
-        """Do nothing: the writer sends everything."""
-
-    def health(self) -> Health:
-        """Return whether something was read, or why reading has ended."""
-        return self._health
-
-    def stop(self) -> None:
-        """End the reading thread."""
-        self._stopped.set()
-        if self._thread is not None:
-            self._thread.join(2.0)
 
     def _run(self, inbox: Inbox) -> None:
         reason = ""

@@ -1,5 +1,6 @@
 """Interface of live routes: they announce topics, put messages into an inbox, and report their health."""
 
+import threading
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -37,6 +38,40 @@ class LiveSource(Protocol):
 
     def stop(self) -> None:
         """Close the route; nothing arrives afterwards."""
+
+
+class ThreadedRoute:
+    """A `LiveSource` that receives in one thread, `_run(inbox)`, until it is stopped; all topics come unasked."""
+
+    #: Of the thread, and how long `stop` waits for its end.
+    thread_name, patience_s = "", 10.0
+
+    def __init__(self, uri: str, problem: str) -> None:
+        self.uri = uri
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._health = Health(is_connected=False, problem=problem)
+
+    def start(self, inbox: Inbox) -> None:
+        """Receive in a separate thread."""
+        self._thread = threading.Thread(target=self._run, args=(inbox,), name=self.thread_name, daemon=True)
+        self._thread.start()
+
+    def subscribe(self, names: Collection[str]) -> None:
+        """Do nothing: everything is sent."""
+
+    def health(self) -> Health:
+        """Return the current health."""
+        return self._health
+
+    def stop(self) -> None:
+        """Close the route."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join(self.patience_s)
+
+    def _run(self, inbox: Inbox) -> None:
+        raise NotImplementedError
 
 
 @runtime_checkable

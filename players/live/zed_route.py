@@ -6,8 +6,6 @@ Frames become the messages of the ROS 2 wrapper; an SVO file waits for its reade
 from __future__ import annotations
 
 import re
-import threading
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +15,7 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
 from players.live import zed_messages as zed
 from players.live.inbox import Inbox
-from players.live.transport import Health
+from players.live.transport import Health, ThreadedRoute
 from players.live.zed_sdk import check_sdk, load_sdk
 
 _PORT = 30000
@@ -35,42 +33,25 @@ class _Address(NamedTuple):
     svo: Path | None = None
 
 
-class ZedRoute:
+class ZedRoute(ThreadedRoute):
     """The `LiveSource` of `zed:`; `sl` replaces the SDK's module."""
 
-    kind = "ZED SDK"
+    kind, thread_name = "ZED SDK", "zed"
 
     def __init__(self, uri: str, sl: Any = None) -> None:
         """Parse the address. Raises `RecordingError`: it is none, the file is missing, or the SDK is."""
-        self.uri = uri
+        super().__init__(uri, f"{uri} was not opened yet")
         self._address = _address(uri)
         if sl is not None:
             check_sdk(sl)
         self._sl = sl if sl is not None else load_sdk()
-        self._stopped = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._health = Health(is_connected=False, problem=f"{uri} was not opened yet")
         self._dropped = 0
 
     def start(self, inbox: Inbox) -> None:
         """Open the camera and grab in a separate thread, with retries."""
         for topic in zed.TOPICS:
             inbox.announce(topic)
-        self._thread = threading.Thread(target=self._run, args=(inbox,), name="zed", daemon=True)
-        self._thread.start()
-
-    def subscribe(self, names: Collection[str]) -> None:
-        """Do nothing: all of a frame is sent."""
-
-    def health(self) -> Health:
-        """Return whether the camera is open, and the SDK's reason if it is closed or lost tracking."""
-        return self._health
-
-    def stop(self) -> None:
-        """Close the camera."""
-        self._stopped.set()
-        if self._thread is not None:
-            self._thread.join(10.0)
+        super().start(inbox)
 
     def _run(self, inbox: Inbox) -> None:
         while not self._stopped.is_set():

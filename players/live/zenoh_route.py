@@ -15,7 +15,7 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
 from players.live import zenoh_keys
 from players.live.inbox import Inbox
-from players.live.transport import Health
+from players.live.transport import Health, ThreadedRoute
 from players.live.zenoh_return import ZenohReturn
 from players.logs.containers import Topic
 
@@ -28,10 +28,10 @@ _JOINED_S = 2.0
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
-class ZenohRoute:
+class ZenohRoute(ThreadedRoute):
     """The `LiveSource` of `zenoh://HOST[:PORT][/NAMESPACE]`."""
 
-    kind = "ROS 2 over Zenoh"
+    kind, thread_name, patience_s = "ROS 2 over Zenoh", "zenoh-connect", 12.0
 
     def __init__(self, uri: str) -> None:
         """Parse the address. Raises `RecordingError`: it is none."""
@@ -40,15 +40,13 @@ class ZenohRoute:
             raise RecordingError(
                 f"found {uri}, expected zenoh://HOST[:{_PORT}][/NAMESPACE]; without a HOST, this machine"
             )
-        self.uri = uri
+        super().__init__(uri, "")
         self._peer = f"{found['host'] or '127.0.0.1'}:{found['port'] or _PORT}"
         self._namespace = (found["namespace"] or "").strip("/")
         self._inbox: Inbox | None = None
         self._session: Any = None
         self._problem = f"{self._peer} was not reached yet"
         self._lock = threading.RLock()
-        self._stopped = threading.Event()
-        self._thread: threading.Thread | None = None
         self._publications: dict[str, zenoh_keys.Publication] = {}
         self._tokens: defaultdict[str, set[str]] = defaultdict(set)
         self._other_types: dict[str, str] = {}
@@ -62,8 +60,7 @@ class ZenohRoute:
     def start(self, inbox: Inbox) -> None:
         """Connect in a separate thread, with retries; Zenoh itself reconnects later."""
         self._inbox = inbox
-        self._thread = threading.Thread(target=self._connect, name="zenoh-connect", daemon=True)
-        self._thread.start()
+        super().start(inbox)
 
     def subscribe(self, names: Collection[str]) -> None:
         """Subscribe to topics, with earlier messages of latched ones."""
@@ -87,9 +84,7 @@ class ZenohRoute:
 
     def stop(self) -> None:
         """Close the session."""
-        self._stopped.set()
-        if self._thread is not None:
-            self._thread.join(12.0)
+        super().stop()
         session, self._session = self._session, None
         if session is not None:
             self._problem = "closed"
@@ -123,7 +118,7 @@ class ZenohRoute:
         """Call `hear` with each message of a topic."""
         self._return.listen(name, hear)
 
-    def _connect(self) -> None:
+    def _run(self, inbox: Inbox) -> None:
         import zenoh
 
         zenoh.init_log_from_env_or("off")

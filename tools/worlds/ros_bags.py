@@ -5,10 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hickory_stream.worlds import ros_messages
+from players.messages import ros_messages
 
 
 class RosMessages(ros_messages.RosMessages):
@@ -30,14 +27,6 @@ class RosMessages(ros_messages.RosMessages):
         if self.ros == 1:
             return bytes(self.store.serialize_ros1(message, message.__msgtype__))
         return super().data(message)
-
-    def image(self, stamp_ns: int, frame_id: str, encoding: str, pixels: NDArray[Any]) -> Any:
-        """Return an Image of (H, W) or (H, W, C) pixels, without padding."""
-        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
-        return self.make(
-            "sensor_msgs/msg/Image", header=self.header(stamp_ns, frame_id), height=pixels.shape[0],
-            width=pixels.shape[1], encoding=encoding, is_bigendian=0, step=rows.shape[1], data=rows.ravel(),
-        )  # fmt: skip
 
 
 class Ros1Bag:

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 for synthetic logs."""
+"""Messages of ROS 2, built and serialised without ROS."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import quaternion_from_rotation
+from players.messages.records import CAMERA_INFO, IMAGE, ODOMETRY
 
 
 class RosMessages:
@@ -46,6 +47,14 @@ class RosMessages:
             data=np.frombuffer(data, dtype=np.uint8),
         )
 
+    def image(self, stamp_ns: int, frame_id: str, encoding: str, pixels: NDArray[Any]) -> Any:
+        """Return an Image of (H, W) or (H, W, C) pixels, without padding."""
+        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
+        return self.make(
+            IMAGE, header=self.header(stamp_ns, frame_id), height=pixels.shape[0], width=pixels.shape[1],
+            encoding=encoding, is_bigendian=0, step=rows.shape[1], data=rows.ravel(),
+        )  # fmt: skip
+
     def camera_info(self, stamp_ns: int, frame_id: str, camera: Camera, model: str, num_coefficients: int) -> Any:
         """Return a CameraInfo without distortion, K = P."""
         region = self.make(
@@ -54,7 +63,7 @@ class RosMessages:
         projection = np.column_stack([camera.K, np.zeros(3)])
         matrices = (np.zeros(num_coefficients), camera.K.ravel(), np.eye(3).ravel(), projection.ravel())
         return self.make(
-            "sensor_msgs/msg/CameraInfo",
+            CAMERA_INFO,
             header=self.header(stamp_ns, frame_id),
             height=camera.height,
             width=camera.width,
@@ -76,16 +85,16 @@ class RosMessages:
         """Return an Odometry; `velocity` (6,) is linear and angular, in the child's frame."""
         pose = self.make(
             "geometry_msgs/msg/Pose",
-            position=self._vector("geometry_msgs/msg/Point", parent_from_child[:3, 3]),
+            position=self.vector("geometry_msgs/msg/Point", parent_from_child[:3, 3]),
             orientation=self._rotation(parent_from_child),
         )
         twist = self.make(
             "geometry_msgs/msg/Twist",
-            linear=self._vector("geometry_msgs/msg/Vector3", velocity[:3]),
-            angular=self._vector("geometry_msgs/msg/Vector3", velocity[3:]),
+            linear=self.vector("geometry_msgs/msg/Vector3", velocity[:3]),
+            angular=self.vector("geometry_msgs/msg/Vector3", velocity[3:]),
         )
         return self.make(
-            "nav_msgs/msg/Odometry",
+            ODOMETRY,
             header=self.header(stamp_ns, parent),
             child_frame_id=child,
             pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
@@ -101,7 +110,7 @@ class RosMessages:
                 child_frame_id=child,
                 transform=self.make(
                     "geometry_msgs/msg/Transform",
-                    translation=self._vector("geometry_msgs/msg/Vector3", parent_from_child[:3, 3]),
+                    translation=self.vector("geometry_msgs/msg/Vector3", parent_from_child[:3, 3]),
                     rotation=self._rotation(parent_from_child),
                 ),
             )
@@ -110,7 +119,8 @@ class RosMessages:
         return self.make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def _rotation(self, a_from_b: NDArray[np.float64]) -> Any:
-        return self._vector("geometry_msgs/msg/Quaternion", quaternion_from_rotation(a_from_b[:3, :3]))
+        return self.vector("geometry_msgs/msg/Quaternion", quaternion_from_rotation(a_from_b[:3, :3]))
 
-    def _vector(self, kind: str, values: Any) -> Any:
-        return self.make(kind, **dict(zip("xyzw", (float(v) for v in values), strict=False)))
+    def vector(self, kind: str, values: Sequence[float] | NDArray[np.float64]) -> Any:
+        """Return a message of x, y, z and, of a Quaternion, w."""
+        return self.make(kind, **dict(zip("xyzw", np.asarray(values, dtype=np.float64).tolist(), strict=False)))
