@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -63,30 +62,11 @@ _HOMES = {
     "hickory_stream.sinks.costmap_sink": ("CostmapSink",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-# Modules that READMEs of earlier releases named.
-_MOVED = {
-    "hickory_stream.compiled": "hickory_stream.base.compiled",
-    "hickory_stream.evaluation.maps": "tools.evaluation.simulated_maps of the source tree",
-    "hickory_stream.worlds.cache": "tools.worlds.cache of the source tree",
-    "hickory_stream.worlds.clutter": "tools.worlds.clutter of the source tree",
-}
 
 try:
     __version__ = version("hickory-stream")
 except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
-
-
-class _MovedModules:
-    """The last finder of imports: an import of a moved module says where it is now."""
-
-    @staticmethod
-    def find_spec(name: str, path: object = None, target: object = None) -> None:
-        if name in _MOVED:
-            raise ModuleNotFoundError(f"{name} is now {_MOVED[name]}", name=name)
-
-
-sys.meta_path.append(_MovedModules)
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
 from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.records import View
 
@@ -95,3 +95,9 @@ def quadric(exponents, semi_axes_m, world_from_local=None):
         exponents=np.array([exponents], dtype=float), semi_axes_m=np.array([semi_axes_m], dtype=float),
         world_from_local=pose[None],
     )  # fmt: skip
+
+
+def radial_distance_m(primitive, points):
+    """Signed distances (N,) to the surface of the first primitive, on rays from its centre; negative inside."""
+    far_m = np.linalg.norm(np.asarray(points, dtype=float) - primitive.world_from_local[0, :3, 3], axis=1)
+    return far_m * (1 - np.exp(-primitive.exponents[0, 0] / 2 * log_implicit_value(primitive, 0, points)))

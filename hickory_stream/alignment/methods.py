@@ -21,11 +21,10 @@ from hickory_stream.alignment.hypothesis import judged
 from hickory_stream.alignment.object_map import ObjectMap, taken
 from hickory_stream.alignment.registration import information, registered
 from hickory_stream.alignment.shape_scores import box_scores, literal_scores, point_scores, superquadric_scores
-from hickory_stream.geometry.rigid import apply
 
 ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
 
-Method = Literal["sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac"]
+Method = Literal["sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 # ROMAN's published parameters.
@@ -33,7 +32,6 @@ _COSINE_MIN, _COSINE_MAX = 0.5, 0.7
 _SIGMA_M, _EPSILON_M = 0.4, 0.6
 _MIN_MATCHES, _MAX_CANDIDATES = 3, 3000
 _SUBMAP_RADIUS_M, _SUBMAP_STEP_M, _SUBMAP_OBJECTS = 15.0, 10.0, 40
-_LOOKALIKES, _DRAWS, _RANSAC_GATE_M = 3, 2000, 0.3
 
 
 def align_by(
@@ -54,8 +52,6 @@ def align_by(
             return _roman(map_a, map_b, config, point_scores)
         case "roman-xl":
             return _roman_submaps(map_a, map_b, config)
-        case "ransac":
-            return _ransac(map_a, map_b, config)
 
 
 def _roman(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: ShapeScores) -> Alignment | NoAlignment:
@@ -119,33 +115,6 @@ def _submaps(objects: ObjectMap) -> list[NDArray[np.int64]]:
         nearest = np.argsort(distances, kind="stable")[:_SUBMAP_OBJECTS]
         pieces.append(np.sort(nearest[distances[nearest] <= _SUBMAP_RADIUS_M]))
     return pieces
-
-
-def _ransac(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> Alignment | NoAlignment:
-    if min(len(map_a), len(map_b)) < _MIN_MATCHES:
-        return _answer(map_a, map_b, np.empty((0, 2), dtype=np.int64), config)
-    evidence, _ = evidence_of(map_a, map_b, config, None)
-    order = np.argsort(evidence.log_ranks, axis=1, kind="stable")[:, :_LOOKALIKES]
-    candidates = np.stack([np.repeat(np.arange(len(order)), order.shape[1]), order.ravel()], axis=1)
-    rng = np.random.default_rng(0)
-    best = np.empty((0, 2), dtype=np.int64)
-    for _ in range(_DRAWS):
-        triple = candidates[rng.choice(len(candidates), min(_MIN_MATCHES, len(candidates)), replace=False)]
-        if len(np.unique(triple[:, 0])) < _MIN_MATCHES or len(np.unique(triple[:, 1])) < _MIN_MATCHES:
-            continue
-        points_a, points_b = map_a.centroids[triple[:, 0]], map_b.centroids[triple[:, 1]]
-        a_from_b = registered(points_a, points_b, np.ones(len(triple)), is_level=False)
-        offsets = map_a.centroids[candidates[:, 0]] - apply(a_from_b, map_b.centroids[candidates[:, 1]])
-        squares = np.einsum("kc,kc->k", offsets, offsets)
-        near = np.flatnonzero(squares < _RANSAC_GATE_M**2)
-        near = near[np.argsort(squares[near], kind="stable")]
-        _, first_a = np.unique(candidates[near, 0], return_index=True)
-        near = near[np.sort(first_a)]
-        _, first_b = np.unique(candidates[near, 1], return_index=True)
-        inliers = candidates[near[np.sort(first_b)]]
-        if len(inliers) > len(best):
-            best = inliers
-    return _answer(map_a, map_b, best, config)
 
 
 def _answer(

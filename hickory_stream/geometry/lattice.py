@@ -29,22 +29,13 @@ def on_steps(points: NDArray[Any], steps_per_m: float = STEPS_PER_M) -> NDArray[
         return ((np.rint(points.astype(np.float32, copy=False) * step) + np.float32(0.0)) / step).astype(np.float32)
 
 
-def steps_of(points: NDArray[Any], steps_per_m: float = STEPS_PER_M) -> NDArray[np.int32] | None:
-    """Return (N, 3) points in steps, None where one does not lie at a multiple of them, or too far away."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        steps = points * np.float32(steps_per_m)
-        if not ((steps == np.rint(steps)) & (np.abs(steps) < _MOST_STEPS)).all() or np.signbit(steps[steps == 0]).any():
-            return None
-    return steps.astype(np.int32)
-
-
 def points_of(steps: NDArray[np.int32], steps_per_m: float = STEPS_PER_M) -> NDArray[np.float32]:
-    """Return the points (N, 3) of which `steps_of` gave the steps."""
+    """Return the points (N, 3) at multiples (N, 3) of the step."""
     return steps.astype(np.float32) / np.float32(steps_per_m)
 
 
 def packed_points(points: NDArray[np.float32], steps_per_m: float = STEPS_PER_M) -> bytes | None:
-    """Return the bytes (12 N) of (N, 3) points, changes in steps as `unsigned` counts; None where `steps_of` is."""
+    """Return the bytes (12 N) of (N, 3) points, changes in steps as `unsigned` counts; None off the steps."""
     out = np.empty(12 * len(points), dtype=np.uint8)
     return out.tobytes() if _pack_points(read_only(points), np.float32(steps_per_m), out) else None
 

@@ -93,20 +93,6 @@ def outward_normals(primitives: Superquadrics, index: int, points_world: NDArray
     return portable.matmul(local / lengths, primitives.world_from_local[index, :3, :3].T)
 
 
-def radial_distance_m(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
-    """Return (N,) signed distances to the surface along the ray from the centre, negative inside.
-
-    The radial Euclidean distance |p| (1 - G^(-e1/2)); at the centre itself minus the smallest semi-axis.
-    """
-    offsets = np.asarray(points_world, dtype=np.float64) - primitives.world_from_local[index, :3, 3]
-    lengths = np.linalg.norm(offsets, axis=1)
-    log_g = log_implicit_value(primitives, index, points_world)
-    smallest = float(primitives.semi_axes_m[index].min())
-    # The surface point on the ray is at |p| G^(-e1/2), and never nearer than a diamond's face is to the centre.
-    surface = portable.exp(portable.log(np.maximum(lengths, _TINY)) - primitives.exponents[index, 0] / 2 * log_g)
-    return np.asarray(np.where(lengths > 1e-12 * smallest, lengths - surface, -smallest))
-
-
 def volumes_m3(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (N,) volumes in closed form: 2 a1 a2 a3 e1 e2 B(e1/2 + 1, e1) B(e2/2, e2/2) (Jaklic et al., 2000)."""
     return np.asarray(unit_volumes(primitives.exponents) * primitives.semi_axes_m.prod(axis=1))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import bz2
 import mmap
-from typing import Any, Literal
-
-Compression = Literal["", "none", "lz4", "bz2", "zstd"]
+from typing import Any
 
 MAX_UNPACKED_BYTES = 1 << 30
 """The maximum size of a chunk or message: recorders write chunks of some megabytes, larger ones are damaged or

@@ -19,7 +19,6 @@ from players.logs.log_damage import Flaws
 from players.logs.log_parts import Parts
 from players.logs.sqlite_pages import PageFile
 
-MAGIC = b"SQLite format 3\0"
 _TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
 
 

@@ -3,7 +3,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 import pytest
 import hickory_stream
@@ -159,9 +158,3 @@ def test_a_misspelt_or_former_word_is_answered_by_todays(words, answer, capsys):
 @pytest.mark.parametrize(("alone", "action"), [("generators", "list"), ("models", "list"), ("cache", "show")])
 def test_a_group_alone_does_its_first_action(alone, action):
     assert said(alone) == said(alone, action) != ""
-
-
-@pytest.mark.parametrize("module", ["hickory_stream.compiled", "hickory_stream.worlds.clutter.frames"])
-def test_moved_modules_name_their_new_place(module):
-    with pytest.raises(ModuleNotFoundError, match=r"is now (hickory_stream.base|tools.worlds)"):
-        import_module(module)

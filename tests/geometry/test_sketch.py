@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion, yaw_rotation
 from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.superquadric import implicit_value, radial_distance_m, volumes_m3, world_bounds
-from tests.strategies import quadric
+from hickory_stream.geometry.superquadric import implicit_value, volumes_m3, world_bounds
+from tests.strategies import quadric, radial_distance_m
 
 
 def sketch_of(points):
@@ -75,7 +75,7 @@ def test_no_upright_primitive_costs_less_than_the_sketch(name):
 
 def cost(primitive, points):
     """Return the mean radial distance to the points times the cube root of the volume."""
-    return float(np.abs(radial_distance_m(primitive, 0, points)).mean() * np.cbrt(volumes_m3(primitive)[0]))
+    return float(np.abs(radial_distance_m(primitive, points)).mean() * np.cbrt(volumes_m3(primitive)[0]))
 
 
 def test_a_leaning_rod_is_no_upright_box():

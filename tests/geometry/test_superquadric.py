@@ -8,7 +8,7 @@ from hickory_stream.geometry import superquadric
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.pictures.open3d_import import import_open3d
-from tests.strategies import quadric
+from tests.strategies import quadric, radial_distance_m
 from tools.evaluation.shape_score import shape_score
 
 exponent = st.floats(0.1, 2.0)
@@ -156,7 +156,7 @@ def test_surface_points_are_within_the_stated_error(primitive, share):
     largest = float(primitive.semi_axes_m.max())
     allowed = 0.01 * largest if share is None else share * largest
     vertices, faces = display_mesh(primitive, 0, None if share is None else allowed)
-    assert np.abs(superquadric.radial_distance_m(primitive, 0, vertices)).max() <= 1e-5 * largest
+    assert np.abs(radial_distance_m(primitive, vertices)).max() <= 1e-5 * largest
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(vertices, faces.astype(np.uint32))
@@ -194,7 +194,7 @@ def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
     points = surface_points(primitive, 0, count)
     largest = float(primitive.semi_axes_m.max())
     assert points.shape == (count, 3)
-    assert np.abs(superquadric.radial_distance_m(primitive, 0, points)).max() <= 1e-9 * largest
+    assert np.abs(radial_distance_m(primitive, points)).max() <= 1e-9 * largest
     vertices, faces = display_mesh(primitive, 0, 0.001 * largest)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     everywhere, _ = trimesh.sample.sample_surface(mesh, 3000, seed=0)

@@ -20,7 +20,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import radial_distance_m, volumes_m3
+from hickory_stream.geometry.superquadric import volumes_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping import core
@@ -43,7 +43,7 @@ from tests.mapping.mapping_fixtures import (
     space,
     told,
 )
-from tests.strategies import unit_share
+from tests.strategies import radial_distance_m, unit_share
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
@@ -196,7 +196,7 @@ def test_a_confirmed_object_has_a_sketch_until_its_shape_comes():
         assert tracked.phase is Phase.ACTIVE
         assert tracked.sketch is not None
         # The boxes of the script are boxes.
-        assert np.quantile(np.abs(radial_distance_m(tracked.sketch, 0, tracked.points_world)), 0.9) <= VOXEL_M
+        assert np.quantile(np.abs(radial_distance_m(tracked.sketch, tracked.points_world)), 0.9) <= VOXEL_M
         assert volumes_m3(tracked.sketch)[0] == pytest.approx(tracked.box.volume_m3, rel=0.3)
         assert tracked.superquadrics is tracked.sketch
     assert core.handle(shape_ready(2, 2)) == []

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, steps_of
+from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, packed_points
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_cells, keys_of_points
 from hickory_stream.perception.observe import mask_area_of, observe, voxel_means
 from hickory_stream.perception.space import SpaceConfig, _free_keys, observe_space
@@ -130,7 +130,7 @@ def test_a_voxels_mean_is_that_of_its_points_in_key_order(seed, count):
         assert np.allclose(means[i], points[own].mean(axis=0), atol=0.5 / STEPS_PER_M + 1e-7)
         assert np.array_equal(shades[i], np.rint(colors[own].mean(axis=0)))
     assert len(means) == len(np.unique(keys))
-    assert steps_of(means) is not None
+    assert packed_points(means) is not None
 
 
 ZED = Camera(width=640, height=480, fx=350.0, fy=350.0, cx=319.5, cy=239.5)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, steps_of
+from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, packed_points
 from hickory_stream.geometry.mesh import Mesh, is_closed, sha256_of, volume_m3
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
@@ -127,7 +127,7 @@ def test_a_build_has_all_layers_and_contains_the_object(reconstructor):
     assert built.containment.num_outside <= 0.001 * built.containment.num_checked
     assert set(built.timings_s) == {"reconstruct", "fit", "inflate"}
     # What was certified is what is stored, in half of the bytes.
-    assert steps_of(built.reconstruction.mesh.vertices, MESH_STEPS_PER_M) is not None
+    assert packed_points(built.reconstruction.mesh.vertices, MESH_STEPS_PER_M) is not None
 
 
 @pytest.mark.parametrize(("cut", "share"), [(-1.0, 1.0), (0.0, 0.5), (0.25, 0.25), (1.0, 0.0)])

@@ -18,7 +18,6 @@ from tools.network_training.frames import TrueFrame
 
 UNKNOWN = -1
 _COLORS = [i for i, name in enumerate(CHANNELS) if name in ("light", "green_red", "blue_yellow")]
-_HEIGHT = [i for i, name in enumerate(CHANNELS) if name in ("height", "has_height")]
 _SCALE = CHANNELS.index("scale")
 _MIRRORED = CHANNELS.index("normal_right")
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.map_folder.saved_map import SavedMap
 
-METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")
+METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic")
 
 
 def add(commands: Commands) -> None:

@@ -24,7 +24,6 @@ from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p
 _NET = 5
 # tan(k pi / 4 / 5)^0.86: about equal steps of angle along the sides make the facets nearly equal.
 _STEPS = (0.0, 0.204999481350814, 0.380300934986841, 0.559967288272018, 0.759774117910865, 1.0)
-_TINY = 1e-12
 _LOG_2 = 0.6931471805599453
 
 

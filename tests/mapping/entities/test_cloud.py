@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps, points_of, steps_of
+from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps, packed_points, points_of
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells, keys_of_points
 from hickory_stream.mapping.entities.cloud import (
     NAMES,
@@ -75,7 +75,7 @@ def test_means_of_points_at_steps_are_at_steps_in_the_same_voxel(seed, num_frame
     frames = [points_of(rng.integers(steps.start, steps.stop, (1, 3)).astype(np.int32)) for _ in range(num_frames)]
     gray = np.zeros((1, 3), dtype=np.uint8)
     fused = reduce(fuse, [cloud_of(points, gray, VOXEL_M) for points in frames])
-    assert steps_of(fused.points) is not None
+    assert packed_points(fused.points) is not None
     assert np.array_equal(keys_of_points(fused.points, VOXEL_M), fused.keys)
     assert len(fused.keys) == 1
 
