@@ -1,6 +1,6 @@
 """In-memory fakes of every port, for tests: no file, no network, no weights.
 
-`box_scene` has a source, and `players.faults` makes any source fail.
+`box_scene` has a source.
 """
 
 import time

@@ -12,15 +12,14 @@ from typing import Any
 from hickory_stream.errors import RecordingError
 from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 from hickory_stream.ports import Source
-from players.faults import FaultySource, parse_faults
 from players.first_frames import FirstFrames
 from players.opening import open_source
 from players.options import SourceOptions
 from players.playback import PlaybackClock, PlayedSource
 
 _KINDS: dict[str, Any] = {
-    **{"uris": list, "options": dict, "faults": str},
-    **{"first_frames": int, "fault_seed": int, "start_s": (int, float), "end_s": (int, float)},
+    **{"uris": list, "options": dict, "first_frames": int},
+    **{"start_s": (int, float), "end_s": (int, float)},
 }
 
 
@@ -31,8 +30,6 @@ def make_source_note(
     first_frames: int | None = None,
     start_s: float = 0.0,
     end_s: float | None = None,
-    faults: str | None = None,
-    fault_seed: int = 0,
 ) -> dict[str, Any]:
     """Return the arguments of `open_from_note` as JSON values; relative paths become absolute ones."""
     said = asdict(options)
@@ -46,8 +43,6 @@ def make_source_note(
         "first_frames": first_frames,
         "start_s": start_s,
         "end_s": end_s,
-        "faults": faults,
-        "fault_seed": fault_seed,
     }
 
 
@@ -56,8 +51,8 @@ def open_from_note(
 ) -> Source:
     """Return the noted source, following a clock (None: as fast as possible) that steps by `keyframes`.
 
-    Raises as `open_source`; `RecordingError`: the note is damaged; `InputError`: the faults are invalid, or the log
-    ends before the start.
+    Raises as `open_source`; `RecordingError`: the note is damaged, or of a run with faults; `InputError`: the log ends
+    before the start.
     """
     _check(note)
     known = {field.name for field in fields(SourceOptions)}
@@ -69,8 +64,6 @@ def open_from_note(
         # Most logs do not declare their end. Reading up to the start is cheap compared with mapping, and a start beyond
         # the end is refused before a map is begun.
         next(PlayedSource(source, PlaybackClock(), start_s=note["start_s"]).frames(), None)
-    if note.get("faults") is not None:
-        source = FaultySource(source, parse_faults(note["faults"]), note.get("fault_seed", 0))
     start_s, end_s = note.get("start_s", 0.0), note.get("end_s")
     source = PlayedSource(source, clock or PlaybackClock(), start_s=start_s, end_s=end_s, keyframes=keyframes)
     first_frames = note.get("first_frames")
@@ -83,6 +76,11 @@ def _check(note: Mapping[str, Any]) -> None:
         is_missing = value is None and name != "uris"
         if not is_missing and (not isinstance(value, kinds) or isinstance(value, bool)):
             raise RecordingError(f"found {name} {value!r:.60} in the note of how the log was opened; play it again")
+    if note.get("faults") is not None:
+        raise RecordingError(
+            f"found faults ({note['faults']!r:.60}) in the note of how the log was opened: they are no longer put into "
+            "a source; play it again"
+        )
     options = note.get("options") or {}
     for name, value in options.items():
         kind = int if name.endswith("_ns") else str

@@ -1,7 +1,6 @@
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.accounting import message_ledger, run_ledger, run_timings
 from players import open_source
-from players.faults import Faults, FaultySource
 from players.first_frames import FirstFrames
 from tests import player_scenes as scenes
 
@@ -28,15 +27,6 @@ def test_what_was_not_played_is_told_apart(tmp_path):
     assert account["not_played"] > 0
     assert not account["is_complete"]
     assert account["used"] + account["not_played"] == len(LOG)
-
-
-def test_a_log_that_is_played_with_faults_has_its_ledger_too(tmp_path):
-    source = FaultySource(open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG)), Faults(drop=0.5), seed=3)
-    read = len(list(source.frames()))
-    assert 0 < read < len(TRUTH)
-    account = message_ledger(source, {"read": read, "keyframes": 1})
-    assert account["not_keyframe"] == 2 * (len(TRUTH) - 1)
-    assert account["used"] + account["not_needed"] == account["declared"] == len(LOG)
 
 
 def test_a_source_without_an_account_has_none():

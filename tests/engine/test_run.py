@@ -1,15 +1,18 @@
 import asyncio
 import json
 from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.ports import SourceAround
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SlowSink
-from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers, stop_at
 
 
@@ -221,14 +224,18 @@ def test_a_consumer_that_leaves_early_leaves_a_map_and_no_child(tmp_path):
     assert shape_workers() == []
 
 
+class BlindSource(SourceAround):
+    def frames(self):
+        for raw in self._source.frames():
+            frame = raw.decode()
+            yield replace(raw, decode=partial(replace, frame, depth_m=np.full_like(frame.depth_m, np.nan)))
+
+
 @pytest.mark.parametrize(
     ("source", "told"),
     [
         (SceneSource(0), r"memory:scene gave no usable frame \(frames 0\)"),
-        (
-            FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)),
-            rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes",
-        ),
+        (BlindSource(SceneSource(NUM_FRAMES)), rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"),
     ],
 )
 def test_a_source_without_frames_or_depth_leaves_no_map(tmp_path, source, told):

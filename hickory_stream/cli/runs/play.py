@@ -93,7 +93,7 @@ def press(clock: PlaybackClock, keys: bytes) -> None:
 
 # Options of a single log with their defaults; a fleet refuses them.
 _OF_ONE_LOG = {
-    "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "inject": None, "frames": None, "rrd": None,
+    "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "frames": None, "rrd": None,
     "costmap": None, "metrics_port": None, "profile": None, "odometry": "auto", "poses": None, "pose_topic": None,
     "color_topic": None, "depth_topic": None,
 }  # fmt: skip
@@ -118,10 +118,6 @@ def add(commands: Commands) -> None:
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
     play.add_argument("--start", type=float, default=0.0, metavar="S", help="start of the playback in the log")
     play.add_argument("--end", type=float, metavar="S", help="end of the playback in the log")
-    play.add_argument(
-        "--inject", metavar="FAULTS", help="inject faults, e.g. drop=0.1,teleport=0.02; see --inject-seed"
-    )
-    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="seed of the faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     add_anyway(play)
     add_run_options(play)
@@ -171,8 +167,6 @@ def run(options: argparse.Namespace) -> int:
         first_frames=None if options.frames is None else positive(options.frames, "--frames"),
         start_s=options.start,
         end_s=options.end,
-        faults=options.inject,
-        fault_seed=options.inject_seed,
     )
     clock = PlaybackClock(rate)
     source = open_from_note(note, clock, settings.mapper.keyframes)

@@ -84,7 +84,15 @@ def test_a_log_that_is_neither_file_nor_folder_is_not_opened(interrupted, tmp_pa
 def test_a_damaged_note_is_refused_in_one_line(interrupted, demo_log):
     note = make_source_note([demo_log], SourceOptions())
     path = interrupted()
-    for change in ({"options": []}, {"first_frames": "all"}, {"options": {"clock": 7}}, {"start_s": []}, {"uris": 3}):
+    for change in (
+        {"options": []},
+        {"first_frames": "all"},
+        {"options": {"clock": 7}},
+        {"start_s": []},
+        {"uris": 3},
+        {"faults": "drop=0.1"},
+        {"faults": 7},
+    ):
         manifest = json.loads((path / "manifest.json").read_text())
         manifest["run"]["source"] = {**note, **change}
         (path / "manifest.json").write_text(json.dumps(manifest))
