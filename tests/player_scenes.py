@@ -5,6 +5,7 @@ camera, so that what a player yields can be compared with what a camera at that 
 """
 
 import json
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 import cv2
@@ -240,23 +241,32 @@ def _written(path, writer, m, messages, serialize, late_ns=0):
     return path
 
 
-def write_mcap(path, m, messages, **settings):
-    """Write a bare MCAP file; `settings` go to the writer of the `mcap` package."""
+@contextmanager
+def mcap_writer(path, profile="ros2", **settings):
+    """Yield a writer of the `mcap` package, and finish its file."""
     from mcap.writer import Writer
 
     with path.open("wb") as stream:
         writer = Writer(stream, **settings)
-        writer.start(profile="ros2")
+        writer.start(profile=profile)
+        yield writer
+        writer.finish()
+
+
+def write_mcap(
+    path, m, messages, *, pack=bytes, topic=str, type_name=str, encoding="ros2msg", definition=lambda _: "", **settings
+):
+    """Write a bare MCAP file; functions may change messages, names and definitions, `settings` are the writer's."""
+    with mcap_writer(path, **settings) as writer:
         channels = {}
         for entry in messages:
             name = entry.message.__msgtype__
             if entry.topic not in channels:
-                definition = m.store.generate_msgdef(name, ros_version=2)[0]
-                schema = writer.register_schema(name, "ros2msg", definition.encode())
-                channels[entry.topic] = writer.register_channel(entry.topic, "cdr", schema)
-            data = bytes(m.store.serialize_cdr(entry.message, name))
+                text = definition(entry) or m.store.generate_msgdef(name, ros_version=2)[0]
+                schema = writer.register_schema(type_name(name), encoding, text.encode())
+                channels[entry.topic] = writer.register_channel(topic(entry.topic), "cdr", schema)
+            data = pack(bytes(m.store.serialize_cdr(entry.message, name)))
             writer.add_message(channels[entry.topic], entry.stamp_ns, data, entry.stamp_ns)
-        writer.finish()
     return path
 
 

@@ -33,18 +33,6 @@ def test_types_have_wire_names_and_only_named_peers_are_heard():
     assert 'address="10.0.0.2" multicast="false"' in settings("10.0.0.2", ("10.0.0.3",))
 
 
-@cyclone
-@pytest.mark.parametrize(("uri", "text"), [
-    ("dds://robot", r"found dds://robot, expected dds://\[DOMAIN\]"),
-    ("dds://500", "with a DOMAIN of 0 to 232"),
-    ("dds://0?peers=10.0.0.1", "expected dds://"),
-    ("dds://0?interface=eth0", "names an interface and no peer: name the robot"),
-])  # fmt: skip
-def test_an_address_that_is_none_is_refused(uri, text):
-    with pytest.raises(RecordingError, match=text):
-        route_of(uri)
-
-
 def test_without_cyclone_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
     with pytest.raises(RecordingError, match=r"dds:// needs Cyclone DDS: pip install 'hickory-stream\[dds\]'"):

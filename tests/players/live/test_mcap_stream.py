@@ -82,6 +82,13 @@ def test_what_is_no_mcap_ends_in_one_line(content, told, tmp_path):
     ("gopher://robot", "found gopher://robot, expected one of zenoh://HOST"),
     *((f"foxglove://robot{end}", "expected foxglove://HOST") for end in (":0", ":port", "/x")),
     *((f"zenoh://robot:{port}", "expected zenoh://HOST") for port in ("0", "port", "99999")),
+    ("dds://robot", r"found dds://robot, expected dds://\[DOMAIN\]"),
+    ("dds://500", "with a DOMAIN of 0 to 232"),
+    ("dds://0?peers=10.0.0.1", "expected dds://"),
+    ("dds://0?interface=eth0", "names an interface and no peer: name the robot"),
+    ("zed:desk.mp4", r"found zed:desk.mp4, expected zed://\[SERIAL\]"),
+    ("zed:none.svo2", "found no such file"),
+    *((f"zed://{end}", "expected zed://") for end in ("1.2.3.4:99999", "host/path")),
 ])  # fmt: skip
 def test_an_address_that_names_nothing_is_refused(uri, told):
     with pytest.raises(RecordingError, match=told):

@@ -10,7 +10,7 @@ from players.live.zed_messages import COLOR, ODOM
 from players.live.zed_route import ZedRoute
 from players.live.zed_sdk import USED, check_sdk, load_sdk
 from players.options import SourceOptions
-from tests.player_scenes import make_scene
+from tests.player_scenes import make_scene, mcap_writer
 from tests.players.live.fake_zed import PUBLISHED, fake_sl
 
 
@@ -108,32 +108,16 @@ def test_an_sdk_of_another_version_is_told_by_what_it_lacks(name, lacks):
         check_sdk(sl)
 
 
-@pytest.mark.parametrize(("uri", "text"), [
-    ("zed:desk.mp4", r"found zed:desk.mp4, expected zed://\[SERIAL\]"),
-    ("zed:none.svo2", "found no such file"),
-    ("zed://1.2.3.4:99999", "expected zed://"),
-    ("zed://host/path", "expected zed://"),
-])  # fmt: skip
-def test_an_address_that_names_no_camera_is_refused(uri, text):
-    with pytest.raises(RecordingError, match=text):
-        ZedRoute(uri, fake_sl())
-
-
 def test_only_a_file_is_a_recording(svo):
     assert is_live("zed://") and is_live("zed://31234567")
     assert is_recording(svo) and not is_recording("zed://")
 
 
 def test_a_recording_that_is_read_without_the_sdk_is_named(tmp_path):
-    from mcap.writer import Writer
-
     path = tmp_path / "desk.svo2"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
+    with mcap_writer(path, "") as writer:
         for topic in ("svo_header", "Camera_SN31234567/side_by_side"):
             writer.add_message(writer.register_channel(topic, "", 0), 1, b"\0" * 8, 1)
-        writer.finish()
     diagnosis = examine([path], SourceOptions())
     assert "is a recording of a ZED camera (SVO2)" in diagnosis.refusal
     assert f"hickory-stream live zed:{path}" in diagnosis.refusal

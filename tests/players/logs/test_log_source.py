@@ -317,16 +317,11 @@ def test_a_distorted_image_is_rectified_to_a_pinhole(tmp_path):
 
 
 def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
-    from mcap.writer import Writer
-
     log = tmp_path / "log.mcap"
-    with log.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
+    with scenes.mcap_writer(log) as writer:
         strange = writer.register_schema("unitree_go/msg/LowState", "ros2msg", b"not ( a definition")
         channel = writer.register_channel("/lowstate", "cdr", strange)
         writer.add_message(channel, scenes.START_NS, b"\x00\x01\x02", scenes.START_NS)
-        writer.finish()
     known = scenes.write_mcap(tmp_path / "known.mcap", M, LOG)
     assert len(list(open_source([known, log]).frames())) == len(TRUTH)
 

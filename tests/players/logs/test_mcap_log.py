@@ -37,16 +37,11 @@ def test_topics_are_told_with_counts_and_others_left_out(tmp_path):
 
 
 def test_several_channels_of_one_topic_are_one_topic(tmp_path):
-    from mcap.writer import Writer
-
     path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
+    with scenes.mcap_writer(path) as writer:
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         for node in ("a", "b"):
             writer.add_message(writer.register_channel("/chat", "cdr", schema, {"node": node}), 1, b"", 1)
-        writer.finish()
     log = McapLog(path)
     assert [(topic.name, topic.num_messages) for topic in log.topics] == [("/chat", 2)]
     assert len(list(log.messages({"/chat"}))) == 2

@@ -1,6 +1,5 @@
 import pytest
 import zstandard
-from mcap.writer import Writer
 from hickory_stream.errors import InputError
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import SOUND, examine
@@ -11,24 +10,6 @@ M = scenes.Messages(ros=2)
 LOG = scenes.scene_messages(M, scenes.make_scene(num_frames=12), scenes.png_images)
 
 
-def _write(path, *, pack=bytes, topic=str, type_name=str, encoding="ros2msg", definition=lambda _: "", **settings):
-    """Write the log with messages, names and definitions changed by functions."""
-    with path.open("wb") as stream:
-        writer = Writer(stream, **settings)
-        writer.start(profile="ros2")
-        channels = {}
-        for entry in LOG:
-            name = entry.message.__msgtype__
-            if entry.topic not in channels:
-                text = definition(entry) or M.store.generate_msgdef(name, ros_version=2)[0]
-                schema = writer.register_schema(type_name(name), encoding, text.encode())
-                channels[entry.topic] = writer.register_channel(topic(entry.topic), "cdr", schema)
-            data = pack(bytes(M.store.serialize_cdr(entry.message, name)))
-            writer.add_message(channels[entry.topic], entry.stamp_ns, data, entry.stamp_ns)
-        writer.finish()
-    return path
-
-
 def _frames(path):
     frames = [raw.decode() for raw in open_source(path).frames()]
     return [(f.stamp_ns, f.rgb.tobytes(), f.depth_m.tobytes(), f.world_from_camera.tobytes()) for f in frames]
@@ -36,7 +17,7 @@ def _frames(path):
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    frames = _frames(_write(tmp_path_factory.mktemp("sound") / "log.mcap"))
+    frames = _frames(scenes.write_mcap(tmp_path_factory.mktemp("sound") / "log.mcap", M, LOG))
     assert len(frames) == 12
     return frames
 
@@ -44,7 +25,7 @@ def sound(tmp_path_factory):
 @pytest.mark.parametrize("settings", [{}, {"use_chunking": False}])
 @pytest.mark.parametrize("level", [1, 19])
 def test_messages_packed_one_by_one_play_as_plain_ones(tmp_path, sound, settings, level):
-    packed = _write(tmp_path / "log.mcap", pack=zstandard.ZstdCompressor(level).compress, **settings)
+    packed = scenes.write_mcap(tmp_path / "log.mcap", M, LOG, pack=zstandard.ZstdCompressor(level).compress, **settings)
     assert _frames(packed) == sound
     assert examine([packed], SourceOptions()).status == SOUND
 
@@ -57,7 +38,7 @@ def test_a_packed_message_that_is_damaged_is_counted(tmp_path, settings):
         packed = zstandard.compress(data)
         return packed[:-9] if next(numbers) in (9, 10, 11) else packed
 
-    log = McapLog(_write(tmp_path / "log.mcap", pack=pack, **settings))
+    log = McapLog(scenes.write_mcap(tmp_path / "log.mcap", M, LOG, pack=pack, **settings))
     read = sum(1 for _ in log.messages({topic.name for topic in log.topics}))
     assert (read, sum(log.flaws.lost().values())) == (len(LOG) - 3, 3)
 
@@ -70,7 +51,7 @@ def _dds_type(name):
 def test_names_and_types_of_dds_are_those_of_ros(tmp_path, sound):
     idl = "module sensor_msgs { module msg { module dds_ { struct Any_ { long x; }; }; }; };"
     names = {"topic": "rt{}".format, "type_name": _dds_type}
-    log = _write(tmp_path / "log.mcap", encoding="omgidl", definition=lambda _: idl, **names)
+    log = scenes.write_mcap(tmp_path / "log.mcap", M, LOG, encoding="omgidl", definition=lambda _: idl, **names)
     assert _frames(log) == sound
     assert open_source(log, SourceOptions(color_topic=f"rt{scenes.PNG_COLOR}")).info.num_frames == 12
 
@@ -95,7 +76,9 @@ def test_ros_1_definitions_that_are_left_out_are_its_own(tmp_path, monkeypatch, 
     [("/cam/color", "uint8 a\nstring b", "Invalid string length"), ("/odom", "((", "Could not parse")],
 )
 def test_the_reason_why_messages_cannot_be_read_is_said(tmp_path, name, definition, reason):
-    path = _write(tmp_path / "log.mcap", definition=lambda m: definition if m.topic.startswith(name) else "")
+    path = scenes.write_mcap(
+        tmp_path / "log.mcap", M, LOG, definition=lambda m: definition if m.topic.startswith(name) else ""
+    )
     with pytest.raises(InputError, match=rf"messages.*cannot be read.*{reason}"):
         open_source(path)
 

@@ -4,7 +4,6 @@ import sys
 from fractions import Fraction
 import numpy as np
 import pytest
-from mcap.writer import Writer
 from rosbags.typesys import get_types_from_msg
 from hickory_stream.errors import RecordingError
 from players import SourceOptions, open_source
@@ -151,9 +150,7 @@ def test_foxglove_s_json_holds_video_too(tmp_path):
     packets = _packets("h264")
     log = [m for m in scenes.scene_messages(M, FRAMES, scenes.raw_images) if m.topic != scenes.RAW_COLOR]
     path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="")
+    with scenes.mcap_writer(path, "") as writer:
         schema = writer.register_schema("foxglove.CompressedVideo", "jsonschema", b"{}")
         channel = writer.register_channel(scenes.RAW_COLOR, "json", schema)
         for frame, (_, data) in zip(FRAMES, packets, strict=True):
@@ -161,7 +158,6 @@ def test_foxglove_s_json_holds_video_too(tmp_path):
             content = base64.b64encode(data).decode()
             text = json.dumps({"timestamp": stamp, "frame_id": scenes.OPTICAL, "format": "h264", "data": content})
             writer.add_message(channel, frame.stamp_ns, text.encode(), frame.stamp_ns)
-        writer.finish()
     rest = scenes.write_mcap(tmp_path / "rest.mcap", M, log)
     assert sum(1 for _ in open_source([path, rest]).frames()) == len(FRAMES)
 

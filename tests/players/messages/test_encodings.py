@@ -204,13 +204,10 @@ def _descriptors():
 def _foxglove_log(path, frames, encoding):
     """Write the scene as Foxglove's messages: the pose is the camera's own."""
     from google.protobuf import json_format, message_factory
-    from mcap.writer import Writer
 
     descriptors, pool = _descriptors()
     camera = scenes.CAMERA
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
+    with scenes.mcap_writer(path, "") as writer:
         channels = {}
 
         def put(topic, name, stamp_ns, fields):
@@ -244,7 +241,6 @@ def _foxglove_log(path, frames, encoding):
                 "P": np.hstack([camera.K, np.zeros((3, 1))]).ravel().tolist(),
             }  # fmt: skip
             put("/camera/color/camera_info", "CameraCalibration", frame.stamp_ns, info)
-        writer.finish()
     return path
 
 
