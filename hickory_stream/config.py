@@ -1,7 +1,5 @@
 """Configuration of the mapper, composed of the configurations beside each algorithm."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field

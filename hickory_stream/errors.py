@@ -20,8 +20,6 @@
 A message names what was found, what was expected, and what to do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The whole configuration file: sections of the mapper and of the sinks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from hickory_stream.config import MapperConfig

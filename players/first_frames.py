@@ -1,7 +1,5 @@
 """The first frames of a source, for a quick look."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice

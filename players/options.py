@@ -1,7 +1,5 @@
 """Options for what a log does not contain; by default everything is discovered."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

@@ -3,8 +3,6 @@
 `PlaybackClock.due_in_s` alone decides how long to wait; tests replace the function of the time.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Generator, Mapping

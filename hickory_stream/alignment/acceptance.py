@@ -12,8 +12,6 @@ parameters leaves, o the volume of the transforms with their leverage on the k p
 Four pairs are significant if few pairs of the two maps are similar, and insignificant if many are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The results of `align`: an `Alignment`, or a `NoAlignment` with its reason; never the identity for a failure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import ceil, floor

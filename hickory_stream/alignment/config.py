@@ -1,7 +1,5 @@
 """The configuration of alignment and of each of its steps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -7,8 +7,6 @@ A missing fixture counts as three objects. Under a wrong transform 0.74 of the o
 under the right one, a day later, 8 of 35 that can be carried, and 0.02 of fixtures, by assumption: 0.5 and 1.5 decades.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -15,8 +15,6 @@ Whether a map has groups follows from two counts, of objects near one another an
 even odds before.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """A transform between two maps, the pairs of objects that it explains, and its expected number of false alarms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@
 gradient ascent, and any three pairs are an alignment; `sq-paper` has Eq. (sgeo) as the shape score.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal, get_args
 

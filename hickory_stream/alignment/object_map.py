@@ -1,7 +1,5 @@
 """The input of alignment: the objects of a map as arrays, in one frame; data that a map lacks are never filled in."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Only partners' points are paired, with a robust loss, since each map saw other s
 priors. The result is kept only if a larger share of the surfaces coincides than before.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

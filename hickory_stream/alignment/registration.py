@@ -4,8 +4,6 @@ Level maps differ by a rotation about the vertical and a translation (4 unknowns
 rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama, 1991).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Search for distinct transforms between two maps, each supported by many pairs of objects."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

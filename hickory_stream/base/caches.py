@@ -4,8 +4,6 @@ They lie in `$HICKORY_CACHE` or `hickory-stream` in the user's caches; if that c
 with one message. Beyond a cap in bytes, the least recently used entries are removed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """Notification of the compilation of a kernel, without loading the compiler."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 _listeners: list[Callable[[str], None]] = []

@@ -3,8 +3,6 @@
 It knows no configuration in particular; `former_keys` has the names that keys had in earlier versions.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import tomllib

@@ -3,8 +3,6 @@
 A foreign folder may name only plain files within itself. All reads and writes under foreign names go through here.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import stat

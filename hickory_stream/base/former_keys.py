@@ -3,8 +3,6 @@
 A map records the configuration that it was made with: `with_current_names` reads one that an earlier version wrote.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any

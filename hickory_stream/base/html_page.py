@@ -1,7 +1,5 @@
 """One HTML file without network access: frame, style and pictures of all pages."""
 
-from __future__ import annotations
-
 import base64
 import html
 

@@ -3,8 +3,6 @@
 Characters beyond ASCII are escaped, so that none of them commands a terminal.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -4,8 +4,6 @@ A configuration derives from `Ranged` and declares each number with `number(defa
 range belong to it and both are finite, so that NaN and infinity are never accepted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, TypeVar

@@ -4,8 +4,6 @@ The command line prints everything through `shown_safely`, which shows control c
 direction as escapes, like `\x1b`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import sys

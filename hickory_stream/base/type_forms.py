@@ -1,7 +1,5 @@
 """Type hints of records by their form; configurations, journals and JSON schemas read hints here alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import types
 from collections.abc import Mapping

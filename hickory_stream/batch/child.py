@@ -1,7 +1,5 @@
 """A task in its own process, started from any thread of any worker: a crash costs one attempt."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -4,8 +4,6 @@ Workers of a cluster read logs and write maps at the same paths, on shared disks
 another one, which resumes the map.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait

@@ -3,8 +3,6 @@
 `batch.json` is written first, `outcomes/NAME.json` after each log, atomically.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict

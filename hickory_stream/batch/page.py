@@ -1,7 +1,5 @@
 """The table of a batch, as text and as one HTML page."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Like Khronos (Schmid et al., RSS 2024), it uses rays. "Gone" needs free space th
 object's place: unobserved objects stay unknown, and each verdict has a probability.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial

@@ -4,8 +4,6 @@ Only points that stand clear of everything else in the object's own map count: m
 centimetres of the table, so that a surface there does not prove the plate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

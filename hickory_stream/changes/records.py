@@ -1,7 +1,5 @@
 """Records of the changes of objects between two maps, and their texts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from math import hypot

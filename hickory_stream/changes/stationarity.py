@@ -5,8 +5,6 @@ verdict (POCD: Qian, Chatrath, Servos, Mavrinac, Burgard, Waslander and Schoelli
 object from map to map; unobserved objects do not count.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ if it stands in former free space, moved if two of these look alike (`compare.py
 but did not see again, is gone if its place was seen through since: its own points prove nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

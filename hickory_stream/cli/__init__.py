@@ -4,8 +4,6 @@ A command imports what it needs when it runs, so that `--help` answers at once. 
 2 bad input; 3 no alignment, path or answer, all shape jobs failed, or an output is incomplete; 130 stopped by a signal.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys

@@ -1,7 +1,5 @@
 """Description and example of each command."""
 
-from __future__ import annotations
-
 TEXTS: dict[str, tuple[str, str]] = {
     "play": (
         "Map a recorded log: find its objects and write a map folder, which every other command reads.",

@@ -3,8 +3,6 @@
 A source counts the images of all frames as used; the run moves those of unused frames to their own buckets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

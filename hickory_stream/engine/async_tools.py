@@ -1,7 +1,5 @@
 """Tools for the event loop: threads, channels, loop delay, pacing, and the stop request."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import sys

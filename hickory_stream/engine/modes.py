@@ -1,7 +1,5 @@
 """The two modes of a run, and its progress: a "playback" waits for everything, a "live" run never waits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -3,8 +3,6 @@
 How much of an object was seen is measured on samples of its surface, as for the figures of `evaluate`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Definitions of the figures of `evaluate`, and a result as text."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Parts of a true object may overlap; surface of one part inside another is left out.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The origin of a false object: one of a closed list, with the masks and merges that led to it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Pictures of true objects, cut out of the keyframe images in a map's journal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

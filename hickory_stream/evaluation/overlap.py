@@ -1,7 +1,5 @@
 """Overlap of mapped objects with true surfaces: which true object each lies on, and how much of it they cover."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

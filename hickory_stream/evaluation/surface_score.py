@@ -1,7 +1,5 @@
 """Agreement of two meshes: F1 of surface samples, ADD-S, diameter, invented volume; and generated surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ ATE is the RMSE of positions after rigid alignment (Umeyama 1991, without scale)
 successive poses (Sturm et al., IROS 2012).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

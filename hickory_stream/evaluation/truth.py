@@ -3,8 +3,6 @@
 The format number changes when a reader would misread the file. Poses are exact; the world is z up.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The sightings of every true object in a run: its pixels in each keyframe, and their labels."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path

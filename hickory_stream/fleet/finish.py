@@ -3,8 +3,6 @@
 The frame with the most robots becomes `fleet.map`, further ones with two or more robots `fleet-2.map` and so on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -3,8 +3,6 @@
 Round k has each robot's map after k times `every_keyframes`, or at its end, however fast each is mapped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 

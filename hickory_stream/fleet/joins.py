@@ -4,8 +4,6 @@ After every round the grown maps are aligned with the others. Two equal answers 
 joins contradict; a later answer can withdraw a join. The finished maps decide in the end (`finish`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Messages of a robot's process to its fleet, beside the maps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeAlias
 

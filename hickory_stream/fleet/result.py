@@ -1,7 +1,5 @@
 """Result of a fleet: each robot's map and joins, or why it is alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations

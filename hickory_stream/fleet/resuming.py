@@ -4,8 +4,6 @@
 sent. Rounds and joins are equal to a fleet's that never stopped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

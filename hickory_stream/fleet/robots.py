@@ -1,7 +1,5 @@
 """Robots of a fleet with names and logs, from FLEET.toml or from NAME=LOG on the command line."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Sequence

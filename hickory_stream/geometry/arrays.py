@@ -1,7 +1,5 @@
 """Checked, read-only arrays: every record makes its array fields so on construction."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

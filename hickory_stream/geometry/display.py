@@ -1,7 +1,5 @@
 """Display: colours of ids and features, labels without overlap, and the nearest camera that sees all points."""
 
-from __future__ import annotations
-
 import colorsys
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Arrays that a record need not hold: given up, or never read, they are made, equal to the byte, on demand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass

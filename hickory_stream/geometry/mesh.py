@@ -4,8 +4,6 @@ The GLB says by the attribute `_SEEN` which vertices were seen. Only one mesh of
 reader of all of glTF opens other files, and takes the memory that a foreign file claims.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct

@@ -4,8 +4,6 @@ Plain matrices multiply, stack into `(..., 4, 4)` and need no conversion. On the
 whose last bit depends on the processor. Directions of small motions (K, 6): unit, a turn first, then a shift.
 """
 
-from __future__ import annotations
-
 from math import isfinite
 from typing import Any
 

@@ -13,8 +13,6 @@ The canonical one of many equal parameterisations, in this order:
 4. Primitives come by volume, largest first; of equal volumes by their semi-axes, then exponents, then centres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product

@@ -4,8 +4,6 @@ Independent errors of edges add up in one frame, exactly to first order. The err
 node to its two ends, without the shared part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 

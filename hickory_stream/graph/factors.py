@@ -4,8 +4,6 @@ Covariances are in the tangent space of GTSAM's `Pose3`: a small turn about x, y
 x, y, z (m), both in the frame of the second node of an edge: true = measured * Exp(error).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

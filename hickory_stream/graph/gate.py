@@ -1,7 +1,5 @@
 """The gate before the solver: it rejects loops that odometry, with its uncertainty, cannot explain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ Its wheel runs on one thread: the same factors give the same bits, but for the C
 limit of its squared residual; weights begin with those of a smooth cost and sharpen until each is 0 or 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The public record of a pose graph and its solution: for the map folder, pictures and viewers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The answer of a solver: a `Solution`, or a `NoSolution` with its reason; never odometry's poses for a failure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -8,8 +8,6 @@
 Only loops are ever cut, as in Kimera-RPGO: else a wrong loop could cut odometry. Edges stretch by their covariance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 

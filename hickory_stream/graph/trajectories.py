@@ -1,7 +1,5 @@
 """The path of the camera before and after the pose graph moved the submaps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

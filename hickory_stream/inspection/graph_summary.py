@@ -1,7 +1,5 @@
 """The pose graph of a map in numbers, and in one line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

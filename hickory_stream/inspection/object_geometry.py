@@ -1,7 +1,5 @@
 """Position and geometry of an object from its best layer: its mesh, else its points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 The point comes from the mask at the pixel, from recorded depth, or from the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

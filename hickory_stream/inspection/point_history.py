@@ -1,7 +1,5 @@
 """The history of one point of the map: its label in every keyframe that shows it, and the objects there."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path

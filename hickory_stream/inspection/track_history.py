@@ -1,7 +1,5 @@
 """The history of a track in words, and texts of consecutive frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 

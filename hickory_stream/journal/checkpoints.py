@@ -1,7 +1,5 @@
 """The state of the core in a checkpoint: the reliable part of a track's cloud is a mask over its points."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any

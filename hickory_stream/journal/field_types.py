@@ -4,8 +4,6 @@ A dataclass checks no types by itself, and a text where a number should be becom
 where it came in.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import types
 from collections.abc import Callable, Mapping

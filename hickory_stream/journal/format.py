@@ -17,8 +17,6 @@ A chunk reaches the operating system at the end of its step, and the disk (fsync
 process loses nothing, a lost power supply that much.
 """
 
-from __future__ import annotations
-
 JOURNAL = "journal.mcap"
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "hickory-stream/1"

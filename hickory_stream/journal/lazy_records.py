@@ -3,8 +3,6 @@
 Arrays are read exactly as written; damage is reported at that time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace

@@ -3,8 +3,6 @@
 The summary is made of the file's content, so a file of another process is continued without unpacking it.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct

@@ -4,8 +4,6 @@ Points are means of returns over voxels. Three returns in millimetres, each pred
 take less than the point that they make, which has no prediction. The points are restored to the byte.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -3,8 +3,6 @@
 Chunks are unpacked on request. The file stays open as long as arrays of it are still to be read.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct

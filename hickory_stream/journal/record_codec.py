@@ -8,8 +8,6 @@ before and from green, points at multiples of a step as differences, mean colour
 differences from neighbours, other numbers byte by byte.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import math

@@ -3,8 +3,6 @@
 A changed record is written, others are referred to; views and shapes, which outlive changes, are separate parts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeVar

@@ -4,8 +4,6 @@ A step is whole or absent in the journal. A step of kind CLOSING was committed e
 belongs to the saved map, not to the one that `resume` continues.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

@@ -3,8 +3,6 @@
 Free memory is returned to the system: the C library would keep the memory of one checkpoint for the next.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

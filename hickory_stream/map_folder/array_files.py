@@ -1,7 +1,5 @@
 """Binary files of a map: points and voxel keys, encoded like the journal's arrays, compressed; no header is trusted."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

@@ -4,8 +4,6 @@ The file has no name: its space is free again however the process ends. It is wr
 a full disk, and read through a mapping.
 """
 
-from __future__ import annotations
-
 import logging
 import mmap
 import tempfile

@@ -5,8 +5,6 @@ written again. Small float32 arrays (features) are base64. Nothing read is trust
 checked.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import itertools

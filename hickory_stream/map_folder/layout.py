@@ -4,8 +4,6 @@
 as of its last complete save. No pickle is written or read. One process writes a folder; its lock ends with it.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

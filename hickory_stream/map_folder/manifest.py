@@ -1,7 +1,5 @@
 """The manifest of a map folder, and recognition of such folders."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The digest detects accidents and edits by hand, but is no signature. So the jour
 object is proven from its mesh and its job's points. Checks that lack a journal or an end are reported as unknown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum

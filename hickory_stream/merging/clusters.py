@@ -4,8 +4,6 @@ A map may have several things as one, e.g. a shelf and the dresser before it. No
 another map is it, unless their boxes agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Groups of maps that hang together: each in the frame of its first map, found by the pose graph of `merge`."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Where several maps lie in one frame: a pose graph over their submaps from the alignments of each two."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Merging of maps: all pairs aligned, one pose graph, corresponding objects fused. Inputs are never changed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Fusion of one object from several maps: points, views, features; and its shape where that still contains it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Wider obstacles for objects that tend to move, so that a path avoids the places to which they may go."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from itertools import pairwise
 

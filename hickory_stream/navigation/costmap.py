@@ -4,8 +4,6 @@ An object is stamped again only if its layer 4 (or its box) has changed; walls a
 since the whole observed space has to be searched for them. In a live run the grid includes early obstacles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar

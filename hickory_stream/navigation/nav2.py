@@ -4,8 +4,6 @@ Row 0 of the picture is at the largest y. The grey values are those of map_saver
 since with Nav2's default of 0.25 unknown cells would be free.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 A column is known if half of the body's height range was observed: behind every edge a small part is occluded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A cell is free if the centre may be anywhere in its closed square. Outlines of o
 update changes only an object's own cells. Rows lie along y, columns along x, as in nav_msgs/OccupancyGrid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum

@@ -4,8 +4,6 @@ A body is a few upright convex parts: corners (x forward), a disc around each, a
 cylinder is one corner with a disc, a footprint several corners, a sphere one corner at one height with a ball.
 """
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass, field, replace
 from importlib import resources

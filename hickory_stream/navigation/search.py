@@ -4,8 +4,6 @@
 path is shortened over free cells, then every leg and turn is checked against the obstacles themselves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise

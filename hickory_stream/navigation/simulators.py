@@ -4,8 +4,6 @@ Layer 2 is the visual geometry. Layer 4 is the collision geometry: one circumscr
 since neither format has superquadrics. All bodies are static.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """Drawings of lines, ellipses and text, as SVG or as an image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from html import escape
 

@@ -3,8 +3,6 @@
 A label lies on the visible part of its object. If that is too small, it stands beside it with a leader line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

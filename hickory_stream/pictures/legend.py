@@ -1,7 +1,5 @@
 """Legends of pictures, and the tint of generated surface, which pictures, pages, exports and the viewer share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small pictures of single objects, ray cast on the CPU from one side for comparison."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

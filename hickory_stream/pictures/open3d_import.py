@@ -3,8 +3,6 @@
 Its wheel needs libusb, which a bare system lacks: a packaged one is loaded first.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from importlib import import_module, util

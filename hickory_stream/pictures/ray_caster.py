@@ -3,8 +3,6 @@
 Their distances differ in the last bits: a recording that must have equal bytes everywhere names its library.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from dataclasses import dataclass
 from typing import Literal, Protocol, assert_never

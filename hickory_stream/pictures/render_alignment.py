@@ -4,8 +4,6 @@ Map a is blue, map b orange; objects without a partner are pale. Both ids of a p
 line; from above, only that of map a is shown. Without an alignment the maps stand side by side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any

@@ -1,7 +1,5 @@
 """The storeys of a map side by side: from above only the top of a building is visible."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

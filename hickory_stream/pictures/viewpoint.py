@@ -1,7 +1,5 @@
 """Viewpoints of pictures: from above, or from a raised position that shows everything."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

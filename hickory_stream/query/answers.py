@@ -3,8 +3,6 @@
 The degree of several conditions is their minimum (Zadeh, 1965); ties go by the product, then the id.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import assert_never

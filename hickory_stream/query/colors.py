@@ -3,8 +3,6 @@
 Hue and chroma decide first, since lightness depends on shade.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -13,8 +13,6 @@ refused by name, since an answer without it would be misleading. With an image-t
 looks of a thing ("coffee mug"), beside the noun after them: an "office chair" is a chair, too.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from difflib import get_close_matches

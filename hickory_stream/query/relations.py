@@ -1,7 +1,5 @@
 """Degrees of relations (on, under, beside, in front of) for each pair of neighbours."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

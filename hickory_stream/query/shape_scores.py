@@ -1,7 +1,5 @@
 """Degrees in 0..1 of shape words, from an object's superquadrics, sides, and height map from above."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Sizes are of things in rooms: each word does not hold at its first number of metres, and holds fully at the second.
 """
 
-from __future__ import annotations
-
 from hickory_stream.query.colors import COLOR_NAMES
 from hickory_stream.query.question import (
     Condition,

@@ -1,7 +1,5 @@
 """A shape job: from the kept views and points of an object to its layers 2, 3 and 4."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field, replace
 from typing import Literal, assert_never

@@ -3,8 +3,6 @@
 One such vertex a hundred metres away would make the certified object that large. A triangle that is a line stays.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

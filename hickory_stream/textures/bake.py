@@ -4,8 +4,6 @@ A high power of their detail weighs the views, so that one view holds most of a 
 seam. Unseen surface has a plain colour, which fades between the colours of the seen surface around it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A mesh with a picture on it: what exports, pictures and the viewer take in the place of colours per vertex."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

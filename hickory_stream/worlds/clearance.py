@@ -1,7 +1,5 @@
 """Clearance for walking: the distance to the nearest wall or object below eye height, on a grid."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

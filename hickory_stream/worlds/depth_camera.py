@@ -1,7 +1,5 @@
 """The defects of a stereo depth camera, applied in disparity, in which stereo noise is constant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Furniture that stands on the floor, its front along +x: one function per kind, drawn from the seed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

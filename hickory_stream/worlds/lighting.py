@@ -3,8 +3,6 @@
 Light adds up linearly: under light 1, a white surface is rendered white.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Textures to draw from: every kind of object asks for a material, the seed decides its tones."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

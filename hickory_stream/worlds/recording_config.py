@@ -3,8 +3,6 @@
 A room is the only scene here; others, and other logs, come from outside by `SCENES` and a subclass.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One furnished room from a seed: a laid table in the middle, a group of furniture along each wall."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

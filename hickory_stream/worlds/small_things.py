@@ -1,7 +1,5 @@
 """Small objects that stand on furniture, on shelves or on one another: one function per kind."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.worlds.furniture import vessel

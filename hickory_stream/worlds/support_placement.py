@@ -1,7 +1,5 @@
 """Placement of models: with their back to a wall, or at random on a support surface."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

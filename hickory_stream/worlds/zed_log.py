@@ -3,8 +3,6 @@
 Odometry is written for every grab, so that each image has a pose of the same stamp. Log times lag behind stamps.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ A bias shifts a surface along the rays of each view. Flat patches of two frames 
 with a small error of the pose between them left free; the bias for which all pairs agree best is the camera's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The colour camera is shifted in steps of 5 mm. A larger intensity gradient at th
 A shifted camera moves near edges by more pixels than far ones, unlike a shifted image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

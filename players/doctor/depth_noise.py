@@ -3,8 +3,6 @@
 It is the residual of a plane in inverse depth, on patches larger than the windows of stereo matching.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Checks of gravity: whether the floor is visible, and level in the world of the poses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Checks of colour images: brightness, and whether they have colour."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A diagnosis as text, and as a page with plots."""
 
-from __future__ import annotations
-
 import html
 from typing import Any
 

@@ -4,8 +4,6 @@ A message never arrives before it was made: the least difference of the last min
 Stamps stay the robot's; the offset is only shown.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 _WINDOW_NS = 60_000_000_000

@@ -4,8 +4,6 @@ Settings were tried against Fast DDS 2 and 3. Type information of Fast DDS 3 is 
 The receive buffer is raised, or raw images do not fit. There is no multicast.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib import import_module

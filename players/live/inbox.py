@@ -4,8 +4,6 @@ Small messages (poses, transforms, calibrations) have a queue of their own; the 
 A route that can make its peer wait (a pipe) waits instead.
 """
 
-from __future__ import annotations
-
 import time
 from collections import Counter, deque
 from collections.abc import Callable

@@ -4,8 +4,6 @@ A chunk delays its messages until it is whole. A pipe ends with its writer, a gr
 The writer waits for the reader: nothing is dropped before it is read.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -1,7 +1,5 @@
 """Routes by the scheme of an address."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hickory_stream.errors import RecordingError

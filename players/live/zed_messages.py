@@ -1,7 +1,5 @@
 """Frames of a ZED camera as the ROS 2 messages of its wrapper."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

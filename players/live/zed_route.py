@@ -3,8 +3,6 @@
 Frames become the messages of the ROS 2 wrapper; an SVO file waits for its reader.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The ZED SDK's Python module, `pyzed.sl`, and the names that are used of it."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

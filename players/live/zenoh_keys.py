@@ -5,8 +5,6 @@ TYPE, before version 1.0 without the first two characters. rmw_zenoh: messages u
 with % for slashes, @ros2_lv/DOMAIN/ZID/NODE/ENTITY/MP/ENCLAVE/NAMESPACE/NODE/TOPIC/TYPE/HASH/QOS.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The way back over Zenoh: our topics in the robot's layout, and its messages for us."""
 
-from __future__ import annotations
-
 import struct
 import threading
 import time

@@ -4,8 +4,6 @@ A message type is compiled from the definition in the log, or from ROS 2's own i
 A definition that cannot be parsed makes only its topic unreadable.
 """
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from collections import Counter

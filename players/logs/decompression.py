@@ -1,7 +1,5 @@
 """Decompression with a limit that is checked before memory is allocated, since a declared size may be wrong."""
 
-from __future__ import annotations
-
 import bz2
 import mmap
 from typing import Any

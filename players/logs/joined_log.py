@@ -3,8 +3,6 @@
 Logs are merged by header stamp, since odometry from a replay has the log times of the replay.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass

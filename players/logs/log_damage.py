@@ -1,7 +1,5 @@
 """Flaws in the bytes of a log, each listed once by its place, however often the log is read."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

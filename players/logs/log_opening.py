@@ -3,8 +3,6 @@
 Only the beginning is read: up to images of both topics, their calibrations, and poses connected to the camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -3,8 +3,6 @@
 The parts spread evenly from its beginning to its end; only the chunks of them are read, by the container's index.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A bad chunk is skipped. The index at the end is used as long as it fits the file
 After damaged bytes, reading resumes at the next chunk.
 """
 
-from __future__ import annotations
-
 import mmap
 import re
 import struct

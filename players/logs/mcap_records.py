@@ -1,7 +1,5 @@
 """Record types of MCAP, in a file or a stream: schemas, channels and chunks."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterator

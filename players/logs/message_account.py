@@ -4,8 +4,6 @@ Used: part of a frame, or a pose, transform or calibration. Not needed: of a top
 Unreadable: damaged. Not played: behind the end of the pass. The rest is the difference, 0 for a sound log.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ They have no poses and no TF: the extrinsics of each stream, and the unit of dep
 ones, images end in a depth unit that their definition in the bag does not have.
 """
 
-from __future__ import annotations
-
 import re
 from contextlib import suppress
 from dataclasses import replace

@@ -4,8 +4,6 @@ The library rosbags refuses a bag with a damaged index. Here all records are rea
 Bags have no checksums: a message is rejected if its place or connection differs from the chunk's index.
 """
 
-from __future__ import annotations
-
 import mmap
 import re
 import struct

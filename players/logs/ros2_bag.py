@@ -3,8 +3,6 @@
 `metadata.yaml` gives the order of the files only; without a valid one, files are read by name.
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 from pathlib import Path

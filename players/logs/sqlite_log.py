@@ -3,8 +3,6 @@
 SQLite reads a sound file. For a damaged one, `sqlite_pages` finds every message whose own pages are whole.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager, suppress

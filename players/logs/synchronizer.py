@@ -4,8 +4,6 @@ The oldest waiting image is paired with the nearest of the other stream, unless 
 Mutually nearest images are paired if streams lag at most `HORIZON_NS` and are at most `DISORDER_NS` out of order.
 """
 
-from __future__ import annotations
-
 from bisect import insort
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence

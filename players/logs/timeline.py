@@ -4,8 +4,6 @@ A stamp far from its neighbours is wrong, or the first after a jump: the next me
 A jump backwards begins a new epoch.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """Roles of topics by type and by the content of their first images, then by name; `SourceOptions` overrides them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

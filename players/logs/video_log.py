@@ -3,8 +3,6 @@
 All packets are decoded in the order of the log, since pictures depend on earlier ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace

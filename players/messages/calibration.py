@@ -4,8 +4,6 @@ In ROS, `K` and `D` describe the raw image and `P` the rectified one; the topic'
 All three are of the whole sensor; an image is its region of interest, binned, or has been resized since.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

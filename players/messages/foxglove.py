@@ -1,7 +1,5 @@
 """Foxglove's own messages, as protobuf or JSON, converted to objects with the fields of ROS messages."""
 
-from __future__ import annotations
-
 import base64
 import json
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Header stamps, read from bytes without deserialising a message."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

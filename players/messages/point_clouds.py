@@ -3,8 +3,6 @@
 The name of the field with a point's time depends on the driver.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

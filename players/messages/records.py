@@ -1,7 +1,5 @@
 """Poses and calibrations as records; ROS 1 and ROS 2 differ in the letter case of a few fields only."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

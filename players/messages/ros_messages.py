@@ -1,7 +1,5 @@
 """Messages of ROS 2, built and serialised without ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any

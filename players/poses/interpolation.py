@@ -3,8 +3,6 @@
 Beyond the ends, and in a wide gap, the nearest pose holds for up to `HOLD_NS`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

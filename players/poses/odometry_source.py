@@ -4,8 +4,6 @@ The world is the log's if it has a first pose; else the first camera is the orig
 Frames whose scan cannot be registered are left out and counted. Poses of the log predict the motion.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping

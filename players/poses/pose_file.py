@@ -3,8 +3,6 @@
 A profile may describe the file. The unit of time follows from the size of the numbers.
 """
 
-from __future__ import annotations
-
 import re
 from decimal import Decimal, InvalidOperation
 from pathlib import Path

@@ -3,8 +3,6 @@
 Between two poses their difference tells whether the camera moved; before the first and after the last the images do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import pairwise

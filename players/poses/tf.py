@@ -1,7 +1,5 @@
 """The TF tree of a log: static and moving transforms, and chains of them between two frames."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Poses far apart in time (visual odometry at 5 Hz) are joined by a cubic; linear 
 After a jump of the odometry, poses continue in the world frame before it; the jump is reported for the submaps.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, insort
 from collections.abc import Sequence

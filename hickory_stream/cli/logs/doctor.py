@@ -1,7 +1,5 @@
 """`hickory-stream doctor`: examine a log, or a robot, before mapping it."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

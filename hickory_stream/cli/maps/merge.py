@@ -1,7 +1,5 @@
 """`hickory-stream merge`: combine several maps into one."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

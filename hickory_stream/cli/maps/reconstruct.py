@@ -1,7 +1,5 @@
 """`hickory-stream reconstruct`: repeat one shape job in this process, for debugging."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

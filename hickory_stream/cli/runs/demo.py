@@ -1,7 +1,5 @@
 """`hickory-stream demo`: make a small recording, map it and draw the map."""
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import sys

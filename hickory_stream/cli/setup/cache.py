@@ -1,7 +1,5 @@
 """`hickory-stream cache`: show or remove cached data."""
 
-from __future__ import annotations
-
 import argparse
 
 from hickory_stream.base.caches import KINDS, cache_root, cap_mb, clear, entries

@@ -1,7 +1,5 @@
 """`hickory-stream completion`: print a shell completion script."""
 
-from __future__ import annotations
-
 import argparse
 
 from hickory_stream.cli.commands import Commands, commands_of

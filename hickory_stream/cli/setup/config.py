@@ -1,7 +1,5 @@
 """`hickory-stream config`: show or check a configuration."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

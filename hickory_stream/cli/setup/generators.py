@@ -1,7 +1,5 @@
 """`hickory-stream generators`: list or check the shape generators of this machine."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

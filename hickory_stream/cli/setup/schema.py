@@ -1,7 +1,5 @@
 """`hickory-stream schema`: list the `--json` outputs, or print the JSON Schema of one."""
 
-from __future__ import annotations
-
 import argparse
 
 from hickory_stream.base.json_text import dumps

@@ -4,8 +4,6 @@ The key is a hash of the job's input, our code that builds shapes, library versi
 shapes depend on it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

@@ -4,8 +4,6 @@ Jobs and answers travel as file contents, so only the packages are shared. Dask 
 after the loss of the scheduler, open jobs are submitted again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

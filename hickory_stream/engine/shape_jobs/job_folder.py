@@ -10,8 +10,6 @@
 Files rather than a pipe: a worker may be another interpreter, and a bad input can be examined afterwards.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

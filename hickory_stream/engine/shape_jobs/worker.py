@@ -3,8 +3,6 @@
 Standard output is the protocol: a reconstructor's own output goes to standard error.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import json

@@ -6,8 +6,6 @@ is its distance below the next vertex that no face before it has named (`packing
 vertex lies at no step the file begins with `HSM1`, and vertices are float32 (`packing`).
 """
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

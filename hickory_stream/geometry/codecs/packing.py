@@ -1,7 +1,5 @@
 """Arrays as planes of bytes, and colours by their changes: the upper bytes of numbers hardly differ, and compress."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

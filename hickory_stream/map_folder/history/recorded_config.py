@@ -1,7 +1,5 @@
 """The configuration of a map, to be read, repeated or continued."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

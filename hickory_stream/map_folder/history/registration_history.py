@@ -1,7 +1,5 @@
 """State of keyframe registration after a step, from the journal, and its summary."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A map folder has no depth: a keyframe shows its image, masks, decisions and the map.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

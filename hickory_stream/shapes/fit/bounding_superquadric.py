@@ -1,7 +1,5 @@
 """One superquadric around a whole surface: of its box, cylinders in it and a fitted one, the one of least volume."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

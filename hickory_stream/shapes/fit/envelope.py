@@ -4,8 +4,6 @@ A cell belongs to the cavity if in one plane along the grid all four lines to ne
 and most of the 26 ways do. The hole of a ring has only the ways in its plane; a corner between walls has no plane.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

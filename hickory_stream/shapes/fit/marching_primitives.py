@@ -5,8 +5,6 @@ Unlike in the paper, candidates also grow from deep seeds, since thin parts that
 candidate's score is its increase of the intersection over union, which also stops the fit. All lengths are in cells.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

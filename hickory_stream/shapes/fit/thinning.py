@@ -1,7 +1,5 @@
 """Thinning of many samples to a stride, without aliasing with the rows of their grid."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

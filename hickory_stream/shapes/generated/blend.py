@@ -4,8 +4,6 @@ Its signed distances are corrected by their miss of the measured surface, fully 
 both meet without a step; space that was seen to be free is cut away. The result is closed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The embedded shape is always made. The generated one replaces it only where the 
 it contradicts them no more, and where it foretold as much of what other views saw; the verdict has the numbers.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

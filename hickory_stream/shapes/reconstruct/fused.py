@@ -3,8 +3,6 @@
 A surface of revolution, by its best view, is completed by rotating its views to its far side.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 A mirrored view is a view of a mirrored camera, so that it is fused like any other (`fused`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

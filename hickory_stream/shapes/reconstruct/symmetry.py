@@ -5,8 +5,6 @@ front of a round object is a semicircle in the view from above; if an arc fits i
 180 degrees to form the back, unless the views observed free space there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

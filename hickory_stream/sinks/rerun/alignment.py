@@ -4,8 +4,6 @@ Map a is blue, map b orange, objects without a partner are pale. Overlaid maps a
 surfaces nearly coincide.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

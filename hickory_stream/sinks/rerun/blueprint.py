@@ -1,7 +1,5 @@
 """Default layout of the viewer: all four layers, the camera, the plots and the decisions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The configuration of the Rerun sink."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hickory_stream.base.ranges import Ranged, number

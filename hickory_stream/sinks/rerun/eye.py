@@ -1,7 +1,5 @@
 """Initial viewpoint of the viewer: above a corner, as near as shows the whole map."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The .rrd file, written in the caller's thread until it reaches its cap or the disk fails."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Objects hang on the entity of their robot, which moves when the robot is joined.
 timeline `keyframe` counts each robot's own keyframes, since clocks may differ; `log_time` has the stamps.
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Between keyframes only the pose and the compressed colour are logged; the masks of the last keyframe stay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

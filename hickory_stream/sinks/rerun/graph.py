@@ -1,7 +1,5 @@
 """The pose graph on the timeline: trajectory before and after, submaps, loops, residuals and uncertainty."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

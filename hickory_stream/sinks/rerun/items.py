@@ -4,8 +4,6 @@ Heavy items may be left out when space or time runs short. Lasting items (a clou
 others (an image, a plot value) only for their moment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import timedelta

@@ -3,8 +3,6 @@
 The viewer draws a label below its point and over everything else, so the points have to be apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import cv2

@@ -4,8 +4,6 @@ Rerun's own queue grows to 300 MB for a stalled viewer and then blocks for ever.
 the next, so that entries wait, and are dropped, in the queue here.
 """
 
-from __future__ import annotations
-
 import logging
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Meshes for the viewer: layer 2, superquadrics, cells of a floor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

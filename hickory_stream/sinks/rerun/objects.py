@@ -3,8 +3,6 @@
 Entities are layer first (`world/layer2/7`): one switch in the viewer's tree then hides a layer of the whole map.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Cells, path and robot lie at different heights, since coplanar surfaces flicker.
 """
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 from typing import Any
 

@@ -3,8 +3,6 @@
 Rerun's own writer continues on a full disk and leaves an unreadable file.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Plots of a report's numbers, and the log of its decisions."""
 
-from __future__ import annotations
-
 import textwrap
 from collections import Counter
 from typing import Any

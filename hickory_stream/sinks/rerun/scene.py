@@ -1,7 +1,5 @@
 """Converts a report into all of its log items."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 Only faces that look into free space are drawn, and only from their side, so that near walls hide nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

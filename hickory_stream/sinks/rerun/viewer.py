@@ -4,8 +4,6 @@ Every viewer is a separate process behind a URL: the wheel's binary is started w
 and `serve_web_viewer` listen on all interfaces.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

@@ -3,8 +3,6 @@
 The caption is a picture: a label of the viewer keeps its size and would cover the next row.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import rerun as rr

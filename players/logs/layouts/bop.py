@@ -4,8 +4,6 @@ Lengths in the files are millimetres. Intrinsics may differ by image. Where a sc
 its objects, which do not move, tell how the camera moved.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping

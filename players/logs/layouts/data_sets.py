@@ -1,7 +1,5 @@
 """Readers of ICL-NUIM, ARKitScenes, Open3D and Redwood, nerfstudio, and the exported folders of ScanNet."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from decimal import Decimal, InvalidOperation

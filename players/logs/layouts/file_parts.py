@@ -1,7 +1,5 @@
 """Images within one file: spans of it, or members of a ZIP archive. Every size is checked before it is read."""
 
-from __future__ import annotations
-
 import struct
 import zipfile
 import zlib

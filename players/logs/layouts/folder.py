@@ -4,8 +4,6 @@ Files are found and paired on opening; colour is read when a frame is reached, d
 Frames are those of the colour camera, and the poses are its poses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial

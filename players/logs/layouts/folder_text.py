@@ -1,7 +1,5 @@
 """Text files of image folders: intrinsics, poses, gravity, lists of stamped images."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

@@ -4,8 +4,6 @@ The world is z up. `gravity-direction.txt` (the unit vector down) turns the log'
 Without one, a layout's z axis is up, or the layout leaves it to level surfaces in the first images.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Readers of 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError

@@ -4,8 +4,6 @@ Poses are camera-to-world in OpenGL axes (x right, y up, z back), the world is y
 Intrinsics are those of the `w` x `h` image of the metadata, whatever size the JPEGs and the depth have.
 """
 
-from __future__ import annotations
-
 import importlib
 import io
 import json

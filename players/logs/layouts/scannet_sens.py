@@ -4,8 +4,6 @@ By ScanNet's SensReader, poses are the depth camera's, all -inf where tracking w
 lead to colour. Many scans have no stamps, or a few random ones: the number of a frame then replaces them.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from functools import partial

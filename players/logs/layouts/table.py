@@ -3,8 +3,6 @@
 Patterns are globs inside the folder; `|` separates alternatives. The first layout with all its marks is the folder's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

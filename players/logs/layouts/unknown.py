@@ -1,7 +1,5 @@
 """Answer to a path that is no log: what is there by kind, and what the nearest layouts of folders lack."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Test of a generator on a built-in object: requirements, result and duration."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -15,8 +15,6 @@ model.npz           vertices (V, 3) float32 in metres, faces (F, 3) int32; color
 result.json         job; camera_from_mesh, (4, 4) by rows, rigid
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator

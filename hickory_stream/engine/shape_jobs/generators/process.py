@@ -4,8 +4,6 @@ Protocol, in lines of JSON: it says {"ready": true} when its weights are loaded;
 PATH}, its answer {"done": NAME}. It ends with its standard input. Standard error is the run's.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

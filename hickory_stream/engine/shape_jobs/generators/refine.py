@@ -4,8 +4,6 @@ The program needs a mesh of true size, which the embedded placement finds first.
 another start of the embedded placement. The result with the lower cost stays.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A generator as its TOML describes it: program, requirements and licence."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
