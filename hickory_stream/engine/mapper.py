@@ -12,7 +12,6 @@ import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -200,13 +199,11 @@ class Mapper:
         self._threads = threadpool_limits(limits=1, user_api="blas")
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, *error: object) -> None:
         try:
             await self._end_run(is_in_order=kind is None and self._temporary is None)
         finally:
-            await self._workers.__aexit__(kind, error, trace)
+            await self._workers.__aexit__(kind, *error)
             if self._threads is not None:
                 self._threads.restore_original_limits()
             if self._temporary is not None:

@@ -33,8 +33,8 @@ class FolderLog:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
+    def __exit__(self, *error: object) -> None:
+        if error[0] is None:
             self.finish()
 
     def write_static(self, stamp_ns: int) -> None: ...
