@@ -1,26 +1,20 @@
 """The frames of a recording: what the cameras give, and what is truly there."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze, freeze_all
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.pictures.ray_caster import CasterName
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.rendering import Rendered, Renderer
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.pictures.ray_caster import CasterName
-    from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.trajectory import Trajectory
-    from hickory_stream.worlds.zed_log import DepthView
+from hickory_stream.worlds.scene import World
+from hickory_stream.worlds.trajectory import Trajectory
+from hickory_stream.worlds.zed_log import DepthView
 
 # The id of an occluder in instance images; it is no true object.
 OCCLUDER_ID = 60000

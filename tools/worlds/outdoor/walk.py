@@ -1,7 +1,5 @@
 """A walk along a street: down the pavement, over the road where the kerb is lowered, back over the lawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import TypeVar
 
