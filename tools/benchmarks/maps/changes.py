@@ -180,7 +180,7 @@ def many_objects(count: int) -> MapIndex:
         levels_m2=rng.random((count, empty.levels_m2.shape[1])) * 0.1,
         held_by=np.where(rng.random(count) < 0.3, rng.integers(0, count, count), -1),
         is_at_wall=rng.random(count) < 0.3, seen_from=np.c_[rng.uniform(-20, 20, (count, 2)), np.ones(count)],
-        pairs=neighbours(lows[:, :2], highs[:, :2]),
+        pairs=neighbours(lows[:, :2], highs[:, :2]), fixed=rng.random(count),
     )  # fmt: skip
 
 
