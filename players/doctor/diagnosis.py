@@ -442,12 +442,15 @@ def judge_extrinsics(found: Diagnosis, source: LogSource) -> None:
     if not are_assumed(source):
         return
     estimated = estimated_extrinsics(source, _REGISTERED)
+    unchecked = "the camera's pose on the body is the profile's, and cannot be checked:"
     if isinstance(estimated, NoHandEye):
-        found.notes.append(f"the camera's pose on the body is the profile's, and cannot be checked: {estimated.reason}")
+        found.notes.append(f"{unchecked} {estimated.reason}")
         return
     off = estimated.disagrees_with(body_from_camera_of(source.setup.plan))
     left_open = f" (its motion leaves open: {', '.join(estimated.open_names())})" if estimated.open_names() else ""
-    if off is None:
+    if off is None and len(estimated.open_directions) == len(estimated.covariance):
+        found.notes.append(f"{unchecked} the motion leaves every direction of it open")
+    elif off is None:
         found.notes.append(f"by its motion the camera sits where the profile has it{left_open}")
     else:
         found.problems.append(
@@ -479,6 +482,7 @@ def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:
 
 
 def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
+    late: dict[float, list[str]] = {}
     for name, figures in found.topics.items():
         if figures.get("unset_stamps"):
             found.notes.append(f"{name}: {figures['unset_stamps']} of {figures['messages']} header stamps are zero")
@@ -491,9 +495,11 @@ def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
         if 1.0 < abs(figures.get("log_offset_s") or 0) < _OWN_CLOCK_S and not (
             figures.get("unset_stamps") or is_heard or name.endswith("tf_static")
         ):
-            found.notes.append(f"{name}: recorded {figures['log_offset_s']} s after its header stamps")
+            late.setdefault(round(figures["log_offset_s"], 1), []).append(name)
         if figures["type"] == "":
             found.notes.append(f"{name}: its type is not known; it is skipped")
+    for offset_s, names in late.items():
+        found.notes.append(f"recorded {offset_s} s after the header stamps: {', '.join(names)}")
 
 
 def _note_frames(found: Diagnosis, fates: dict[str, int], reasons: Mapping[str, str], gaps: PoseGaps) -> None:

@@ -5,6 +5,7 @@ from hickory_stream.geometry.rigid import invert, quaternion_from_rotation, rota
 from hickory_stream.records import Phase
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
+from players.doctor.diagnosis import examine
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.worlds.drift import DriftConfig
 from tools.worlds.layouts import layout_files
@@ -76,6 +77,15 @@ def test_wheels_and_an_unknown_robot_are_refused(recorded):
         open_source(files[0])
     with pytest.raises(CalibrationError, match=r"robot 'spot' is not known; expected one of acl_jackal.*--robot"):
         open_source(files, SourceOptions(robot="spot", profile="kimera_multi"))
+
+
+def test_doctor_says_once_that_all_topics_were_recorded_late(recorded):
+    layout, files, _ = recorded
+    if layout != "kimera_multi":
+        pytest.skip("of Kimera-Multi only")
+    found = examine(files, SourceOptions())
+    (note,) = [note for note in found.notes if note.startswith("recorded 111.3 s after the header stamps: ")]
+    assert note.count("/acl_jackal/") == len(found.topics)
 
 
 def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(recorded, tmp_path):

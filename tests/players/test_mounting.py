@@ -1,3 +1,4 @@
+from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.worlds.recording import make_recording
@@ -50,6 +51,13 @@ def test_doctor_warns_that_the_profile_is_off(recorded, estimate, monkeypatch):
     told = [problem for problem in found.problems if "by its motion the camera sits" in problem]
     assert len(told) == 1
     assert "--extrinsics estimate" in told[0]
+
+
+def test_a_motion_that_leaves_all_open_confirms_no_profile(recorded, estimate, monkeypatch):
+    unknown = replace(estimate, covariance=100 * np.eye(6), open_directions=np.eye(6))
+    monkeypatch.setattr("players.doctor.diagnosis.estimated_extrinsics", lambda *_: unknown)
+    (note,) = [note for note in examine([recorded / "b2"], SourceOptions()).notes if "the profile" in note]
+    assert note.endswith("cannot be checked: the motion leaves every direction of it open")
 
 
 def test_a_mended_profile_has_the_estimated_place_on_its_base(recorded, estimate, monkeypatch):
