@@ -150,7 +150,7 @@ def test_parts_are_named_by_world_walk_camera_and_rung(only):
 def test_everything_is_measured_once_with_fresh_or_given_seeds():
     parts = chosen_parts([])
     assert parts == all_parts()
-    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 3 + 9
+    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 4 + 9
     seeds = own_seeds(0, "0" * 63 + "1"), own_seeds(0, "ff" * 32), own_seeds(2, "0" * 64)
     assert len({seed for three in seeds for seed in three}) == 9
     assert own_seeds(2, "f" * 64) == seeds[2]

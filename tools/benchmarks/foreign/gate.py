@@ -12,8 +12,8 @@ from tools.benchmarks.common.cached_runs import cached
 from tools.benchmarks.common.code_hashes import MAPS, code_hash
 from tools.benchmarks.common.figures import Figure, Options
 from tools.benchmarks.foreign.figures import figures_of, of_map, reasons
-from tools.benchmarks.foreign.logs import WorldLog, foreign_log, outdoor_log, own_log, worlds_folder
-from tools.benchmarks.foreign.parts import OUTDOORS, OWN, ROLES, Part, chosen_parts
+from tools.benchmarks.foreign.logs import WorldLog, foreign_log, jackal_log, outdoor_log, own_log, worlds_folder
+from tools.benchmarks.foreign.parts import JACKAL, OUTDOORS, OWN, ROLES, Part, chosen_parts
 from tools.benchmarks.foreign.runs import clouds_scored, kitchen_scored, mapped_on, timed
 
 _QUICK_S = 12.0
@@ -75,13 +75,16 @@ def _work(
         return "data", lambda: kitchen_scored(data, worlds.parent / "score_boxes.py")
     if not may_render:
         return "", dict
-    log = foreign_log(worlds, *((part.world, part.walk, part.camera) if part.walk else ("home", "A", "hand")))
+    if part.camera == JACKAL:
+        log = jackal_log(worlds, part.world)
+    else:
+        log = foreign_log(worlds, *((part.world, part.walk, part.camera) if part.walk else ("home", "A", "hand")))
     return log.key, lambda: timed(log.log) if part.world == "speed" else _mapped(log, part.rung)
 
 
 def _mapped(log: WorldLog, rung: Any = "ours") -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as temporary:
-        return mapped_on(rung, log.log, log.truth, Path(temporary) / "map")
+        return mapped_on(rung, (log.log, *log.beside), log.truth, Path(temporary) / "map")
 
 
 def _reported(part: Part, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:

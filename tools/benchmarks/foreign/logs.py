@@ -4,16 +4,25 @@
 
 import hashlib
 import os
+import runpy
 import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from hickory_stream.base import caches
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import TRUTH_FILE
+from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, invert, yaw_rotation
+from hickory_stream.pictures.open3d_import import import_open3d
+from players import open_source
 from tools.benchmarks.common.processes import ROOT, output_of
 from tools.worlds.cache import cache_folder, cached_recording
+from tools.worlds.drift import DriftConfig, drifted_poses
+from tools.worlds.layouts import KimeraMultiLog, layout_files
 from tools.worlds.outdoor.walk import outdoors
 from tools.worlds.recording_config import RecordingConfig
 
@@ -31,11 +40,12 @@ _RUN = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorldLog:
-    """A log with its truth folder, and a hash of its sources."""
+    """A log with its truth folder, a hash of its sources, and what is played together with it."""
 
     log: Path
     truth: Path
     key: str
+    beside: tuple[Path, ...] = ()
 
 
 def worlds_folder(named: Path | None) -> Path:
@@ -78,6 +88,49 @@ def foreign_log(
         made.rename(folder)
     caches.prune()
     return found
+
+
+def jackal_log(worlds: Path, world: str) -> WorldLog:
+    """Return walk A of the robot as a Jackal of Kimera-Multi records it: at 15 Hz, odometry drifts by a percent."""
+    # Raises RecordingError as `foreign_log` does.
+    plain = foreign_log(worlds, world, "A", "robot", rate_hz=15.0)
+    folder = plain.log.parent.with_name(f"{plain.log.parent.name}-jackal")
+    first, *beside = (folder / name for name in layout_files("kimera_multi", world))
+    if not first.is_file():
+        print(f"recording {world} as a Jackal: minutes, once", flush=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
+            made = Path(temporary) / "made"
+            made.mkdir()
+            _record_as_jackal(plain, worlds, worlds / _FOLDERS.get(world, world), made)
+            made.rename(folder)
+    caches.mark_used(folder)
+    return WorldLog(log=first, truth=plain.truth, key=folder.name.removeprefix("foreign-"), beside=tuple(beside))
+
+
+def _record_as_jackal(plain: WorldLog, worlds: Path, source: Path, out: Path) -> None:
+    # Colour is the plain log's. Depth is rendered, since its camera is beside and later. Odometry begins at the origin.
+    import_open3d()  # as the program needs it
+    program = runpy.run_path(str(worlds / PROGRAM))
+    scene, sensor, truth = program["Scene"](source), program["Camera"](640, 480, "d455"), load_truth(plain.truth)
+    true = np.array([frame.world_from_camera for frame in truth.frames])
+    heading = float(np.arctan2(true[0, 1, 2], true[0, 0, 2]))
+    world_from_start = from_rotation_translation(yaw_rotation(heading), true[0, :3, 3])
+    odometry = drifted_poses(invert(world_from_start) @ true, DriftConfig(), np.random.default_rng(1))
+    with KimeraMultiLog(out, source.name, truth.camera, 92) as log:
+        view = log.depth_view
+        assert view is not None
+        beside = view.camera
+        sensor.f, sensor.K = beside.fx, beside.K
+        sensor.dir = backproject(np.ones((beside.height, beside.width), np.float32), beside).reshape(-1, 3)
+        sensor.len = np.linalg.norm(sensor.dir, axis=1)
+        for i, raw in enumerate(open_source(str(plain.log)).frames()):
+            now, then = truth.frames[i], truth.frames[min(i + 1, len(true) - 1)]
+            later = view.lag_ns / max(view.lag_ns, then.stamp_ns - now.stamp_ns)
+            pose = interpolate(now.world_from_camera, then.world_from_camera, later) @ view.color_from_depth
+            _, depth, _, cosine = program["render"](scene, sensor, pose)
+            depth_m, _, _ = program["sense_depth"](depth, cosine, sensor, np.random.default_rng([1, 5000 + i]))
+            log.write_pose(now.stamp_ns, odometry[i], np.zeros(3))
+            log.write_images(now.stamp_ns, raw.decode().rgb, depth_m)
 
 
 def own_log(seed: int) -> WorldLog:

@@ -11,8 +11,9 @@ TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
 WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)
 OWN = ("own1", "own2", "own3")
 OUTDOORS = ("outdoor1", "outdoor2")
-# Outdoors, by a camera that reaches 10 m; the first walk is the headline.
-CAMPUS, CAMPUS_WALKS = "campus", (("A", "robot"), ("A", "hand"), ("B", "robot"))
+# Outdoors, by a camera that reaches 10 m; the first walk is the headline. A Jackal's log has walk A of the robot.
+CAMPUS, JACKAL = "campus", "jackal"
+CAMPUS_WALKS = (("A", "robot"), ("A", "hand"), ("B", "robot"), ("A", JACKAL))
 WALKS, CAMERAS = ("A", "B"), ("hand", "robot")
 TUNED, REPORTED = "tuned on", "reported"
 ROLES = {
@@ -63,7 +64,7 @@ def chosen_parts(only: Sequence[str]) -> list[Part]:
         if not any(part.is_named(name) for part in parts):
             raise InputError(
                 f"--only {name}: no such part; expected WORLD[:WALK][:CAMERA][:RUNG] of worlds {', '.join(WORLDS)}, "
-                f"{CAMPUS}, walks A and B, cameras hand and robot, rungs {', '.join(RUNGS)}, "
+                f"{CAMPUS}, walks A and B, cameras hand and robot ({CAMPUS}: and {JACKAL}), rungs {', '.join(RUNGS)}, "
                 "or kitchen, clouds, own, outdoor, speed"
             )
     return [part for part in parts if not names or any(map(part.is_named, names))]

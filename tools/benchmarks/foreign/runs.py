@@ -3,6 +3,7 @@
 import json
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.labels import load_labels, score_labels
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.overlap import Overlap
+from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.reach import depth_on_labels
 from hickory_stream.evaluation.surface_score import area_m2, generated_m2
 from hickory_stream.evaluation.truth import Truth, load_truth
@@ -38,7 +40,7 @@ _WARM_KEYFRAMES = 5
 _GROUND = frozenset({"floor", "pavement", "road", "kerb", "lawn"})
 
 
-def mapped_on(rung: Rung, log: Path, truth_folder: Path, out: Path) -> dict[str, Any]:
+def mapped_on(rung: Rung, log: Sequence[Path], truth_folder: Path, out: Path) -> dict[str, Any]:
     """Return what `mapped` does, on a rung of the ladder of oracles."""
     config = MapperConfig()
     images = TrueImages(load_truth(truth_folder))
@@ -46,11 +48,13 @@ def mapped_on(rung: Rung, log: Path, truth_folder: Path, out: Path) -> dict[str,
     return mapped(log, truth_folder, out, config, **ports)
 
 
-def mapped(log: Path, truth_folder: Path, out: Path, config: MapperConfig, **ports: Any) -> dict[str, Any]:
+def mapped(
+    log: Path | Sequence[Path], truth_folder: Path, out: Path, config: MapperConfig, **ports: Any
+) -> dict[str, Any]:
     """Return the true objects that count and the objects of a map, each with its match or the reason for none."""
     truth = load_truth(truth_folder)
     config = replace(config, run=replace(config.run, shape_cache=False))
-    play_into(out, open_source(str(log)), config, **ports)
+    play_into(out, open_source(log), config, **ports)
     saved = open_map(out)
     history = investigate(saved, truth)
     found, meshes, why = evaluate(saved, truth, history.score), meshes_of(saved), why_of(history)
@@ -99,7 +103,7 @@ def _pieces_of_ground(saved: SavedMap, truth: Truth) -> set[int]:
     ground = tuple(path for path in truth.structure if Path(path).stem.rsplit("_", 1)[-1] in _GROUND)
     if not ground:
         return set()
-    lies_on = Overlap(saved.snapshot, replace(truth, structure=ground)).lies_on
+    lies_on = Overlap(saved.snapshot, replace(placed_truth(saved, truth).truth, structure=ground)).lies_on
     return {i for i, share in lies_on.items() if share.structure > 0.5}
 
 
