@@ -25,6 +25,8 @@ def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], n
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only, C-contiguous view, a copy where need be: kernels are compiled for one kind of array."""
+    if array.flags.c_contiguous and not array.flags.writeable:
+        return array
     view = np.ascontiguousarray(array)[...]
     view.flags.writeable = False
     return view

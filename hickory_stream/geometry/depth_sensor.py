@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.arrays import read_only
 
 Law = tuple[float, float, float]
 """What `sigma_at` takes, in compiled code: the floor, the constant and the quadratic term, or a multiple of them."""
@@ -84,10 +85,20 @@ class DepthSensor(Ranged):
         if self.bias_m != 0:
             depth_m = depth_m - np.float32(self.bias_m)
         if self.min_m > 0 or self.max_m < _FAR_M:
-            depth_m = np.where((depth_m >= self.min_m) & (depth_m <= self.max_m), depth_m, np.float32(np.nan))
+            flat = read_only(np.asarray(depth_m, dtype=np.float32)).ravel()
+            depth_m = _between(flat, np.float32(self.min_m), np.float32(self.max_m)).reshape(depth_m.shape)
         elif self.bias_m > 0:
             depth_m = np.where(depth_m > 0, depth_m, np.float32(np.nan))
         return np.asarray(depth_m, dtype=np.float32)
+
+
+@kernel
+def _between(depth, low, high):
+    # In one pass.
+    out = np.empty(len(depth), np.float32)
+    for i in range(len(depth)):
+        out[i] = depth[i] if (low <= depth[i]) & (depth[i] <= high) else np.float32(np.nan)
+    return out
 
 
 @kernel

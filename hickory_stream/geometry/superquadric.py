@@ -229,7 +229,8 @@ def _canonical_one(
     orders = permutations(range(3)) if abs(exponents[0] - exponents[1]) <= _EQUAL else ((0, 1, 2), (1, 0, 2))
     forms = [(tuple(axes[list(order)]), order) for order in orders]
     largest = max(form for form, _ in forms)
-    equal = [order for form, order in forms if np.allclose(form, largest, rtol=_EQUAL, atol=0)]
+    near = tuple(_EQUAL * abs(length) for length in largest)
+    equal = [o for form, o in forms if all(abs(a - b) <= c for a, b, c in zip(form, largest, near, strict=True))]
     turned = _closest_to_identity([rotation[:, list(order)] for order in equal])
     return exponents, np.array(largest), from_rotation_translation(turned, pose[:3, 3])
 

@@ -144,18 +144,14 @@ def _why_not(
 ) -> str | None:
     if pixels < config.min_area_px:
         return f"{pixels} working pixels, fewer than {config.min_area_px}"
-    side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
-    if side_m < _MIN_SIDE_SIGMAS * sigma_m:
-        return f"{100 * side_m:.1f} cm in a square, less than {_MIN_SIDE_SIGMAS:g} sigmas of depth"
-    return None
-
-
-def _side_and_sigma_m(
-    surface: Surface, labels: NDArray[np.int32], label: int, pixels: int, box: NDArray[np.int64]
-) -> tuple[float, float]:
     x0, y0, x1, y1 = box
     inside = labels[y0:y1, x0:x1] == label
     # Every pixel of a fragment has a depth.
-    depth_m = float(np.median(surface.depth_m[y0:y1, x0:x1][inside]))
-    sigma_m = float(np.median(surface.sigma_m[y0:y1, x0:x1][inside]))
-    return float(np.sqrt(pixels / (surface.camera.fx * surface.camera.fy))) * depth_m, sigma_m
+    depth_m, sigma_m = (own[y0:y1, x0:x1][inside] for own in (surface.depth_m, surface.sigma_m))
+    side = float(np.sqrt(pixels / (surface.camera.fx * surface.camera.fy)))
+    if side * float(depth_m.min()) >= _MIN_SIDE_SIGMAS * float(sigma_m.max()):
+        return None  # so are the medians
+    side_m = side * float(np.median(depth_m))
+    if side_m < _MIN_SIDE_SIGMAS * float(np.median(sigma_m)):
+        return f"{100 * side_m:.1f} cm in a square, less than {_MIN_SIDE_SIGMAS:g} sigmas of depth"
+    return None

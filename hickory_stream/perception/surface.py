@@ -84,7 +84,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
 
 def lab_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return (h, w, 3) CIE Lab, in which Euclidean distance is perceived difference; lightness in 0..100."""
-    return np.asarray(cv2.cvtColor(rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB))
+    return np.asarray(cv2.cvtColor(np.divide(rgb, 255, dtype=np.float32), cv2.COLOR_RGB2LAB))
 
 
 def moved_surface(surface: Surface, world_from_camera: NDArray[np.float64]) -> Surface:

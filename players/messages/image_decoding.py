@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.errors import RecordingError
+from hickory_stream.geometry.arrays import read_only
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
@@ -206,7 +207,16 @@ def depth_of_pixels(pixels: NDArray[Any], units_per_m: float = 1000.0) -> NDArra
     """Return raw pixels of one of `DEPTH_ENCODINGS` as float32 metres: integers are millimetres (REP 118)."""
     if pixels.dtype == np.uint16:
         return metres_of_u16(pixels, units_per_m)
-    return np.where(np.isfinite(pixels) & (pixels > 0), pixels, np.float32(np.nan)).astype(np.float32)
+    depth_m: NDArray[np.float32] = _returns(read_only(pixels).ravel()).reshape(pixels.shape)
+    return depth_m
+
+
+@kernel
+def _returns(metres):
+    out = np.empty(len(metres), np.float32)
+    for i in range(len(metres)):
+        out[i] = metres[i] if (metres[i] > 0) & (metres[i] < np.inf) else np.nan
+    return out
 
 
 def _check_whole(data: bytes, what: str) -> None:

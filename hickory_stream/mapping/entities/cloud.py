@@ -32,6 +32,7 @@ from hickory_stream.geometry.voxels import (
     keys_of_points,
     places,
     sorted_unique,
+    sums_of_equal,
 )
 
 NAMES = ("keys", "points", "colors", "hits", "weights")
@@ -276,7 +277,7 @@ def solid_part(cloud: Cloud, sightings: int) -> Cloud:
     if sightings < SETTLED_SIGHTINGS:
         return cloud
     cells = coarse_keys(cloud.keys, 3)
-    alone = ~contains(sorted_unique(cells[~once]), cells)
+    alone = sums_of_equal(cells, (~once).astype(np.int64)) == 0
     is_tail = 0 < alone.mean() <= _MOST_TAIL and _volume(cloud.points[~alone]) < _MUCH_SMALLER * _volume(cloud.points)
     return without(cloud, alone) if is_tail else cloud
 

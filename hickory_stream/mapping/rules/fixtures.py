@@ -24,6 +24,7 @@ from hickory_stream.geometry.voxels import (
     key_of_point,
     keys_of_cells,
     keys_of_points,
+    layers_of_keys,
     places,
     sorted_unique,
 )
@@ -137,11 +138,14 @@ def _window_around(track: Track, voxel_m: float) -> Window:
 def _walls(track: Track, space: SpaceState) -> NDArray[np.int64]:
     # Structure without the floor, and without other ground: level structure lower than the middle of the track.
     structure = structure_of(space)
-    cells = cells_of_keys(structure)
-    height_m = (cells[:, 2] + 0.5) * space.voxel_m
-    is_covered = contains(structure, keys_of_cells(cells + np.array([0, 0, 1])))
+    height_m = (layers_of_keys(structure) + 0.5) * space.voxel_m
+    is_covered = contains(structure, structure + 1)  # the voxel above
     floor_m = -np.inf if space.floor_z_m is None else space.floor_z_m + _FLOOR_M
     return structure[(height_m > floor_m) & (is_covered | (height_m > track.box.center[2]))]
+
+
+# What the voxels beside one add to its key.
+_SIDE_STEPS = (1 << 42, -(1 << 42), 1 << 21, -(1 << 21))
 
 
 def _held(
@@ -150,11 +154,11 @@ def _held(
     # The shares of its feet, the lowest voxels of its low columns, over or beside a surface, and over nothing.
     feet = cells[column_starts(cells)]
     feet = feet[feet[:, 2] < feet[:, 2].min() + _FEET]
-    below = [feet - (0, 0, down) for down in range(1, _FEET + 1)]
-    beside = [feet + step for step in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))]
+    at = keys_of_cells(feet)
+    below, beside = [at - down for down in range(1, _FEET + 1)], [at + step for step in _SIDE_STEPS]
     others = difference(difference(space.surface, walls), keys)
-    rests = np.any([contains(others, keys_of_cells(place)) for place in (*below, *beside)], axis=0)
-    hangs = np.any([contains(space.free, keys_of_cells(place)) for place in below], axis=0) & ~rests
+    rests = np.any([contains(others, place) for place in (*below, *beside)], axis=0)
+    hangs = np.any([contains(space.free, place) for place in below], axis=0) & ~rests
     return float(rests.mean()), float(hangs.mean())
 
 

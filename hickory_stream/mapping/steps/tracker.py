@@ -133,15 +133,18 @@ class Tracker:
         text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {_candidates(match)}{left}"
         state.decide("associate", track.id, text, observation_index=observation.index)
         since_ns = counted_ns(state.clock_ns - track.seen_clock_ns)
-        track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=state.clock_ns)
-        track = replace(track, seen_through_ns=0, seen_in=state.submaps.open_id)
         own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
-        track = grown(track, own, sightings, self._config.voxels.object_m)
         # An object has a closed outline (Alexe, Deselaers and Ferrari 2012). Of the powers 1, 2, 4 and 8 of the share
         # that is drawn, the fourth tells right tracks best from false ones.
         closed = observation.drawn * observation.drawn
-        seen_ns = round(closed * closed * since_ns)
-        state.tracks[track.id] = replace(track, observed_ns=track.observed_ns + seen_ns)
+        state.tracks[track.id] = replace(
+            grown(track, own, sightings, self._config.voxels.object_m),
+            last_seen_ns=event.stamp_ns,
+            seen_clock_ns=state.clock_ns,
+            seen_through_ns=0,
+            seen_in=state.submaps.open_id,
+            observed_ns=track.observed_ns + round(closed * closed * since_ns),
+        )
         return tuple(covered)
 
     def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:

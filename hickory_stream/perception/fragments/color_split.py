@@ -112,15 +112,28 @@ _OTSU_BINS = 48
 
 def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
     edges = np.linspace(values.min(), values.max(), _OTSU_BINS + 1)
-    counts = _histogram(values, edges)
-    middles = (edges[:-1] + edges[1:]) / 2
-    below = np.cumsum(counts)[:-1]
-    first = np.cumsum(counts * middles)[:-1]
-    above, last = len(values) - below, portable.dot(counts, middles) - first
-    between = below * above * np.square(last / np.maximum(above, 1) - first / np.maximum(below, 1))
-    best = int(np.argmax(between))
-    variance = float(values.var()) * len(values) * len(values)
-    return float(edges[best + 1]), float(between[best]) / max(variance, 1e-12)
+    threshold, between = _most_between(_histogram(values, edges), edges)
+    return threshold, between / max(float(values.var()) * len(values) * len(values), 1e-12)
+
+
+@kernel
+def _most_between(counts, edges):
+    # The edge between the two classes with the largest variance between them, times the square of their number.
+    middles, total, all_below = np.empty(len(counts)), 0.0, np.int64(0)
+    for i in range(len(counts)):
+        middles[i] = (edges[i] + edges[i + 1]) / 2
+        total += counts[i] * middles[i]
+        all_below += counts[i]
+    threshold, most, below, first = edges[1], -1.0, np.int64(0), 0.0
+    for i in range(len(counts) - 1):
+        below += counts[i]
+        first += counts[i] * middles[i]
+        above, last = all_below - below, total - first
+        apart = last / max(above, 1) - first / max(below, 1)
+        between = below * above * (apart * apart)
+        if between > most:
+            threshold, most = edges[i + 1], between
+    return threshold, most
 
 
 @kernel

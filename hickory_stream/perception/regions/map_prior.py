@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.geometry.voxels import first_not_below, keys_of_points
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import MapPrior, Phase, TrackedObject
 
@@ -110,13 +111,30 @@ def _owners_of_points(
     # (N,) the first object with a voxel at each point, else with one beside it; -1 for none.
     # Points are nearly sorted by voxel: a stable sort is fast on them.
     keys = [np.sort(keys_of_points(item.points_world, voxel_m), kind="stable") for item in objects]
-    own, owners = keys_of_points(points, voxel_m), np.full(len(points), -1, dtype=np.int64)
-    for step in _STEPS:
-        for i, of_object in enumerate(keys):
-            waiting = np.flatnonzero(owners < 0)
-            owners[waiting[contains(of_object, own[waiting] + step)]] = i
-    return owners
+    ends = np.cumsum([len(own) for own in keys])
+    return np.asarray(_first_owners(keys_of_points(points, voxel_m), np.concatenate(keys), ends, _STEPS))
 
 
 # A point's voxel, then its six face neighbours: what they add to its key.
-_STEPS = (0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42))
+_STEPS = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)])
+
+
+@kernel
+def _first_owners(points, keys, ends, steps):
+    # `keys` are those of one object after the other, each sorted, up to its end.
+    owners, waiting, count = np.full(len(points), np.int64(-1)), np.arange(len(points)), len(points)
+    for step in steps:
+        start = 0
+        for i in range(len(ends)):
+            of_object, at, left = keys[start : ends[i]], np.int64(0), 0
+            start = ends[i]
+            for n in range(count):
+                key = points[waiting[n]] + step
+                at = first_not_below(of_object, key, at)
+                if at < len(of_object) and of_object[at] == key:
+                    owners[waiting[n]] = i
+                else:
+                    waiting[left] = waiting[n]
+                    left += 1
+            count = left
+    return owners
