@@ -200,6 +200,19 @@ def prepared_at(segmenter: Segmenter, prepared: object, world_from_camera: NDArr
     return segmenter.moved(prepared, world_from_camera) if isinstance(segmenter, Moving) else None
 
 
+@runtime_checkable
+class Sharing(Protocol):
+    """An optional ability of segmenters, extractors and models: frames of several threads share runs of a network."""
+
+    def share_runs(self) -> int:
+        """Let frames share runs from now on, without a change of results; return how many share one, 1 for none."""
+
+
+def shared_by(part: object) -> int:
+    """Return how many frames share a run of a part's network from now on."""
+    return part.share_runs() if isinstance(part, Sharing) else 1
+
+
 class FeatureExtractor(Protocol):
     """Dense patch features, with DINOv2's interface."""
 

@@ -22,7 +22,7 @@ from hickory_stream.geometry.depth_sensor import SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
-from hickory_stream.ports import FeatureExtractor, Segmenter, Source
+from hickory_stream.ports import FeatureExtractor, Segmenter, Source, shared_by
 from hickory_stream.poses.surface_image import SurfaceImage
 from hickory_stream.records import Frame, RawFrame
 
@@ -33,6 +33,7 @@ T = TypeVar("T")
 _FRAMES_AHEAD = 16
 """More than lie between two keyframes at 30 Hz: with fewer, one is only decoded when that before it is mapped."""
 _DECODED_AHEAD = 3
+"""Of these one is mapped. Where frames share runs of a network, one run is computed, and the next one fills."""
 _LIVE_FRAMES = 32
 
 
@@ -76,8 +77,8 @@ class Reader:
     """Reads a source on a thread into a channel, until the source or the run ends.
 
     A playback queues few frames, fewer of them decoded, and waits. A live run queues the newest second, compressed.
-    Networks have threads of their own: masks and features of several decoded frames are computed side by side. They do
-    not share a batch, since other sizes of a batch give other last bits, and a resumed run would form others.
+    Networks have threads of their own: masks and features of several decoded frames are computed side by side, and may
+    share runs. A playback at a rate does the same, so that its map is the same.
     """
 
     def __init__(
@@ -88,16 +89,18 @@ class Reader:
         self._extractor = extractor
         self._stop = stop
         self._mode = mode
+        num_masks, num_features = (1, 1) if mode == "live" else (shared_by(segmenter), shared_by(extractor))
+        most = max(num_masks, num_features)
         self._channel: Channel[QueuedFrame] = (
-            Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_FRAMES_AHEAD)
+            Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_FRAMES_AHEAD * most)
         )
-        self._room = asyncio.Semaphore(_DECODED_AHEAD)
+        self._room = asyncio.Semaphore(_DECODED_AHEAD if most == 1 else 1 + 2 * most)
         self._thread = ThreadPoolExecutor(1, "read")
         # Not the thread that reads: a source may wait for its next frame.
         self._ahead_thread = ThreadPoolExecutor(1, "ahead")
         has_masks, has_features = config.perception.has_mask_network, config.perception.has_feature_network
-        self._masks_thread = ThreadPoolExecutor(1, "masks") if has_masks else self._ahead_thread
-        self._features_thread = ThreadPoolExecutor(1, "features") if has_features else self._ahead_thread
+        self._masks_thread = _threads(num_masks, "masks") if has_masks else self._ahead_thread
+        self._features_thread = _threads(num_features, "features") if has_features else self._ahead_thread
         self._has_worked = False
         self.decode_s = 0.0
         #: Losses since the last queued frame (playback).
@@ -192,7 +195,7 @@ class Reader:
                     keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
                     pending = group.create_task(self._ahead(frame), name=f"ahead-{index}")
                 queued = QueuedFrame(
-                    raw=replace(raw, index=index),
+                    raw=replace(raw, index=index, decode=_released),
                     round_index=round_index,
                     first_index=offset,
                     is_candidate=frame is not None,
@@ -268,6 +271,14 @@ class Reader:
             return None
         self.decode_s += time.perf_counter() - started
         return sensed(frame, index, self._config.sensor)
+
+
+def _released() -> Frame:
+    raise AssertionError("a playback has decoded its keyframes")  # frames in the queue hold no images of the log
+
+
+def _threads(num_sharing: int, name: str) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1 if num_sharing == 1 else 2 * num_sharing, name)
 
 
 def _no_surface(_: Frame) -> SurfaceImage | None:

@@ -17,7 +17,7 @@ from scipy.ndimage import find_objects
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
-from hickory_stream.ports import Moving, Segmenter, SemanticModel
+from hickory_stream.ports import Moving, Segmenter, SemanticModel, shared_by
 from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation, SemanticImage
 
 # The classes of ADE20K and COCO that the paper excludes, by any of their names.
@@ -61,6 +61,12 @@ class FilteredSegmenter:
         self._config = config
         self._excluded = excluded_classes(model.labels, config)
         self._thread = ThreadPoolExecutor(1, "classes")
+
+    def share_runs(self) -> int:
+        """Let frames of several threads share runs of masks or of classes; return the most that share one."""
+        num = shared_by(self._model)
+        self._thread = ThreadPoolExecutor(2 * num, "classes")
+        return max(num, shared_by(self._segmenter))
 
     def prepare(self, frame: Frame) -> tuple[object, SemanticImage]:
         """Return the results that need no map: the segmenter's own, and the classes of the pixels, side by side."""

@@ -1,6 +1,7 @@
 import asyncio
 import json
 import threading
+import time
 from dataclasses import replace
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.models.shared_runs import IMAGES_A_RUN, SharedRuns
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.perception.semantic_filter import FilterConfig, FilteredSegmenter
 from hickory_stream.perception.surface import Surface
@@ -173,6 +175,44 @@ def test_the_next_frame_enters_a_network_that_is_free():
     keyframes = [read for read in frames_read(Device(waits), Device(waits)) if read.is_candidate]
     assert [read.raw.index for read in keyframes] == sorted(read.raw.index for read in keyframes)
     assert len(keyframes) >= 2
+
+
+class Shared(InstanceSegmenter):
+    """Masks by a network whose runs frames share where `num` is above 1; it may fail on the frame of one brightness."""
+
+    def __init__(self, num, failing=None):
+        super().__init__(SCENE.instances)
+        self._num, self._failing, self._runs = num, failing, SharedRuns(self._run)
+        self.sizes = []
+
+    def share_runs(self):
+        return self._num
+
+    def prepare(self, frame):
+        image = np.full((1, 3, 1, 1), frame.rgb.mean(), np.float32)
+        self._runs.run(image) if self._num > 1 else self._run(image)
+
+    def _run(self, images):
+        time.sleep(0.02)  # meanwhile others wait
+        self.sizes.append(np.count_nonzero(images[:, 0]))
+        if self._failing in images:
+            raise ModelError("too bright")
+        return [images]
+
+
+@pytest.mark.parametrize("failing", [None, 2], ids=["all work", "one fails"])
+def test_frames_that_share_runs_give_the_same_map(tmp_path, failing):
+    failing = failing and np.float32([*SCENE.frames()][failing].decode().rgb.mean())
+    segmenters = [Shared(num, failing) for num in (1, IMAGES_A_RUN)]
+    options = (*NO_SHAPES, "perception.segmenter=fastsam")
+    alone, shared = (
+        map_scene(tmp_path, *options, segmenter=one, name=f"{i}").folder for i, one in enumerate(segmenters)
+    )
+    assert alone.manifest.digest == shared.manifest.digest
+    frames = json.loads((shared.path / "ledger.json").read_text())["frames"]
+    assert frames.get("keyframes_failed", 0) == (failing is not None)
+    assert set(segmenters[0].sizes) == {1}
+    assert max(segmenters[1].sizes[2:]) > 1
 
 
 @pytest.mark.parametrize(("mode", "rate"), [("playback", None), ("live", 3.0)])

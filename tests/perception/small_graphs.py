@@ -61,7 +61,7 @@ def dino(path, patch=14, extra=1, image=(1, 3, None, None)):
 def scores_by_color(path, image=(1, 3, None, None)):
     """A semantic graph of three classes, whose scores are the red, green and blue of the image."""
     node = helper.make_node("AveragePool", ["image"], ["scores"], kernel_shape=[4, 4], strides=[4, 4])
-    return save(path, [node], [("scores", TensorProto.FLOAT, (1, 3, None, None))], image=image)
+    return save(path, [node], [("scores", TensorProto.FLOAT, (image[0], 3, None, None))], image=image)
 
 
 def queries(path, class_logits, mask_logits):

@@ -61,6 +61,10 @@ class DinoExtractor:
         """The length D of a feature."""
         return self._dim
 
+    def share_runs(self) -> int:
+        """Let images of several threads share runs; return how many share one."""
+        return self._network.share_runs()
+
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch).
 

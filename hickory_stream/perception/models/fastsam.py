@@ -20,6 +20,7 @@ from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
 from hickory_stream.perception.network_segmenter import NetworkSegmenter
+from hickory_stream.ports import shared_by
 from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation
 
 logger = logging.getLogger(__name__)
@@ -63,6 +64,10 @@ class FastSam:
         self._predictions, self._prototypes = _outputs_of(network)
         if warm_up:
             network.warm_up(np.zeros((1, 3, self._size[1], self._size[0]), dtype=np.float32))
+
+    def share_runs(self) -> int:
+        """Let images of several threads share runs; return how many share one."""
+        return self._network.share_runs()
 
     def masks(self, rgb: NDArray[np.uint8]) -> tuple[list[InstanceMask], int]:
         """Return the masks of an image (H, W, 3), best first, and the number of non-finite detections."""
@@ -111,6 +116,10 @@ class FastSamSegmenter:
     def __init__(self, network: MaskNetwork, base: NetworkSegmenter) -> None:
         self._network, self._base = network, base
         self._has_warned = False
+
+    def share_runs(self) -> int:
+        """Let frames of several threads share runs of the network; return how many share one."""
+        return shared_by(self._network)
 
     def prepare(self, frame: Frame) -> Found:
         """Return the fragments' inputs and the masks of a frame; raises `ModelError`."""

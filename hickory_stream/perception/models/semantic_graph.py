@@ -132,6 +132,10 @@ class GraphSemantics:
         """The names of the classes, by their ids."""
         return self._labels
 
+    def share_runs(self) -> int:
+        """Let images of several threads share runs; return how many share one."""
+        return self._network.share_runs()
+
     def classify(self, rgb: NDArray[np.uint8]) -> SemanticImage:
         """Return the class of every pixel of an image (H, W, 3); raises `ModelError`."""
         size = (rgb.shape[1], rgb.shape[0])
