@@ -63,10 +63,11 @@ class FilteredSegmenter:
         self._thread = ThreadPoolExecutor(1, "classes")
 
     def share_runs(self) -> int:
-        """Let frames of several threads share runs of masks or of classes; return the most that share one."""
-        num = shared_by(self._model)
-        self._thread = ThreadPoolExecutor(2 * num, "classes")
-        return max(num, shared_by(self._segmenter))
+        """Let frames of several threads share runs, if those of masks can; return how many share one."""
+        num = shared_by(self._segmenter)
+        if num > 1 and (num_classes := shared_by(self._model)) > 1:
+            self._thread = ThreadPoolExecutor(2 * num_classes, "classes")
+        return num
 
     def prepare(self, frame: Frame) -> tuple[object, SemanticImage]:
         """Return the results that need no map: the segmenter's own, and the classes of the pixels, side by side."""

@@ -6,7 +6,6 @@ Needs the extra `export` (torch, ultralytics, transformers); skipped without. Ru
 import importlib.metadata
 import sys
 import types
-from pathlib import Path
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `export`: pip insta
 
 import hickory_stream.perception.models.export as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.fastsam import FastSamConfig  # noqa: E402
+from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
 from hickory_stream.perception.models.preprocessing import built_in_picture, letterbox_of, letterboxed  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]
@@ -84,8 +84,7 @@ def yolo(request, ultralytics, tmp_path_factory):
     network.save(weights)
     kind = FastSAM if request.param == 1 else YOLO
     file = folder / "graph.onnx"
-    made = kind(str(weights)).export(format="onnx", imgsz=640, opset=export.OPSET, simplify=False, dynamic=False)
-    file.write_bytes(Path(made).read_bytes())
+    export.export_yolo(kind(str(weights)), file, 640)
     return kind(str(weights)), file
 
 
@@ -101,3 +100,12 @@ def test_masks_of_a_yolo_graph_equal_the_packages_predictor(yolo, size):
     assert len(ours) == len(theirs) >= 10
     assert found.mean() >= export.LEAST_IOU
     assert np.mean(found >= export.LEAST_IOU) >= 0.95
+
+
+def test_a_yolo_graph_takes_several_images_of_its_size(yolo):
+    network = Network(yolo[1], NetworkConfig(provider="cpu", warm_up=False))
+    assert network.inputs[0].shape == (None, 3, 640, 640)
+    image = letterboxed(PICTURE, letterbox_of(600, 400, 640, 640))
+    together = network.run(np.concatenate([image[..., ::-1], image, image]))
+    for several, alone in zip(together, network.run(image), strict=True):
+        np.testing.assert_allclose(several[[2]], alone, rtol=1e-3, atol=1e-3)

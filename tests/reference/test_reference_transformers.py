@@ -33,13 +33,17 @@ def test_features_of_a_dinov2_graph_are_those_of_the_package(tmp_path):
     model = transformers.Dinov2Model(transformers.Dinov2Config(**size)).eval()
     torch.nn.init.normal_(model.embeddings.position_embeddings)
     errors = [export.export_dino_model(model, tmp_path / "dino.onnx", PICTURE[:224, :322])]
-    extractor = DinoExtractor(Network(tmp_path / "dino.onnx", CPU), DinoConfig(), warm_up=False)
+    network = Network(tmp_path / "dino.onnx", CPU)
+    extractor = DinoExtractor(network, DinoConfig(), warm_up=False)
     for height, width in ((224, 224), (140, 392), (14, 14)):
         picture = PICTURE[:height, :width]
         with torch.no_grad():
             tokens = model(torch.from_numpy(normalised(picture))).last_hidden_state[0, 1:].numpy()
         ours = extractor.extract(picture).reshape(tokens.shape)
         errors.append(float(np.abs(ours - tokens / np.linalg.norm(tokens, axis=-1, keepdims=True)).max()))
+    image = normalised(PICTURE[:28, :42])
+    several, alone = (network.run(np.repeat(image, num, axis=0))[0] for num in (3, 1))
+    np.testing.assert_allclose(several[[2]], alone, rtol=1e-3, atol=1e-3)
     print(f"DINOv2: features differ by at most {max(errors):.2g}")
     assert max(errors) <= export.MOST_FEATURE_ERROR
 

@@ -83,8 +83,7 @@ def export_fastsam(weights: Path, file: Path, input_px: int) -> Exported:
     with tempfile.TemporaryDirectory() as folder:
         # The package writes its graph beside the weights.
         model = kind(str(shutil.copy(weights, folder)))
-        made = model.export(format="onnx", imgsz=input_px, opset=OPSET, simplify=False, dynamic=False)
-        shutil.copy(made, file)
+        export_yolo(model, file, input_px)
     picture = built_in_picture()
     ours, theirs = fastsam_masks(file, picture), reference_fastsam_masks(model, picture, input_px)
     found = ious(ours, theirs)
@@ -97,6 +96,16 @@ def export_fastsam(weights: Path, file: Path, input_px: int) -> Exported:
         f"{len(theirs)} masks, IoU with the package's own {found.mean():.4f} on average" if theirs else "no masks"
     )
     return Exported(input_px=(input_px, input_px), labels=(), compared=compared)
+
+
+def export_yolo(model: Any, file: Path, input_px: int) -> None:
+    """Export a model of ultralytics for images of one size, their number in a run left open."""
+    import onnx
+
+    graph = onnx.load(model.export(format="onnx", imgsz=input_px, opset=OPSET, simplify=False, dynamic=True))
+    for side in graph.graph.input[0].type.tensor_type.shape.dim[2:]:
+        side.dim_value = input_px
+    onnx.save(graph, str(file))
 
 
 def fastsam_masks(file: Path, picture: NDArray[Any], config: FastSamConfig | None = None) -> list[NDArray[Any]]:
@@ -165,7 +174,7 @@ def export_dino_model(model: Any, file: Path, picture: NDArray[Any]) -> float:
 
     patch = int(model.config.patch_size)
     example = torch.zeros((1, 3, 4 * patch, 6 * patch))
-    _export(Tokens(), example, file, ["tokens"], {"tokens": {1: "tokens"}}, sizes_are_open=True)
+    _export(Tokens(), example, file, ["tokens"], {"tokens": {0: "images", 1: "tokens"}}, sizes_are_open=True)
     extractor = DinoExtractor(Network(file, _CPU), DinoConfig(patch_px=patch), warm_up=False)
     height, width = (n // patch * patch for n in picture.shape[:2])
     ours = extractor.extract(picture[:height, :width])
@@ -255,7 +264,7 @@ def _export(
     import torch
 
     if sizes_are_open:
-        axes = {"image": {2: "height", 3: "width"}, **axes}
+        axes = {"image": {0: "images", 2: "height", 3: "width"}, **axes}
     try:
         with torch.no_grad():
             torch.onnx.export(
