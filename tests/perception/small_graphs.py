@@ -111,7 +111,7 @@ def sam_pair(folder, *, version=1, radii=(2, 4, 8), ious=(0.95, 0.9, 0.5), low=1
         helper.make_node("Add", ["dx2", "dy2"], ["off"]),
         helper.make_node("Sub", ["squares", "off"], ["inside"]),
         helper.make_node("Mul", [names[-1], "zero"], ["nothing"]),
-        helper.make_node("Add", ["inside", "nothing"], ["low_res_masks" if version == 1 else "masks"]),
+        helper.make_node("Add", ["inside", "nothing"], ["low_res_masks" if version == 1 else "all"]),
         helper.make_node("Reshape", ["x", "column"], ["each"]),
         helper.make_node("Mul", ["each", "zero"], ["no_iou"]),
         helper.make_node("Add", ["ious_", "no_iou"], ["iou_predictions"]),
@@ -120,7 +120,12 @@ def sam_pair(folder, *, version=1, radii=(2, 4, 8), ious=(0.95, 0.9, 0.5), low=1
     inputs = [*((name, (1, 1, 1, 1)) for name in names), *prompts]
     if version == 1:
         inputs += [("has_mask_input", (1,)), ("orig_im_size", (2,))]
-    masks = (nodes[-4].output[0], TensorProto.FLOAT, (num, len(radii), low, low))
+    else:
+        # As samexporter's: one flag a prompt, which it multiplies with masks along their width.
+        inputs[-1:] = [("mask_input", (num, 1, low, low)), ("has_mask_input", (num,))]
+        nodes.append(helper.make_node("Mul", ["has_mask_input", "mask_input"], ["given"]))
+        nodes.append(helper.make_node("Add", ["all", "given"], ["masks"]))
+    masks = ("low_res_masks" if version == 1 else "masks", TensorProto.FLOAT, (num, len(radii), low, low))
     outputs = [masks, ("iou_predictions", TensorProto.FLOAT, (num, len(radii)))]
     save(folder / "x.decoder.onnx", nodes, outputs, constants=constants, inputs=inputs)
     return folder

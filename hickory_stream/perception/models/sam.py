@@ -167,14 +167,15 @@ class Sam:
             "point_coords": points[:, None],
             "point_labels": np.ones((num, 1)),
             "mask_input": np.zeros((num, 1, low, low)),
-            "has_mask_input": np.zeros(num),
+            # One for all prompts: samexporter's decoder of SAM 2 would spread one of each along the width of masks.
+            "has_mask_input": np.zeros(1),
             "orig_im_size": np.array([place.height, place.width]),
         }
         if self._pads:
             values["point_coords"] = np.concatenate([points[:, None], np.zeros((num, 1, 2))], axis=1)
             values["point_labels"] = np.tile([1.0, -1.0], (num, 1))
-        if self._prompts.get("has_mask_input") and self._prompts["has_mask_input"].shape == (1,):
-            values["mask_input"], values["has_mask_input"] = values["mask_input"][:1], values["has_mask_input"][:1]
+        if "mask_input" in self._prompts and self._prompts["mask_input"].shape[0] == 1:
+            values["mask_input"] = values["mask_input"][:1]
         given = {
             name: values[name].astype(_DTYPES.get(tensor.dtype, np.float32)) for name, tensor in self._prompts.items()
         }
