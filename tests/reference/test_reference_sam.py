@@ -127,7 +127,7 @@ def test_masks_equal_the_automatic_mask_generators(package, sam, tmp_path, is_ba
     generator = package.SamAutomaticMaskGenerator(
         sam, points_per_side=12, pred_iou_thresh=CHOICE["predicted_iou"], stability_score_thresh=CHOICE["stability"]
     )
-    for size in ((200, 150), (120, 180)):
+    for size in ((200, 150), (120, 180), (400, 300)):
         picture = cv2.resize(built_in_picture(), size, interpolation=cv2.INTER_AREA)
         theirs = [found["segmentation"] for found in generator.generate(picture)]
         masks, num_not_finite = ours.masks(picture)

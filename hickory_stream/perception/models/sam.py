@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -137,9 +136,11 @@ class Sam:
         )
 
     def _image(self, rgb: NDArray[np.uint8], place: _Place) -> NDArray[Any]:
-        is_smaller = place.inner_width < place.width or place.inner_height < place.height
+        from PIL import Image
+
+        # As the originals do: bilinear, with wider filters where an image becomes smaller.
         size = (place.inner_width, place.inner_height)
-        inner = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR)
+        inner = np.asarray(Image.fromarray(rgb).resize(size, Image.Resampling.BILINEAR))
         kind = np.float16 if self._encoder.inputs[0].dtype == "float16" else np.float32
         if len(self._encoder.inputs[0].shape) == 3:
             # Exported with its pre-processing: colour (H, W, 3) from 0 to 255.
