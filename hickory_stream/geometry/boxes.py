@@ -100,15 +100,23 @@ def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedB
     areas = sizes[0] * sizes[1] + 1e-9 * sizes.sum(axis=0)
     near = np.flatnonzero(areas <= _FACE_SLACK * areas.min())
     some = points[:: max(1, len(points) // _FACE_POINTS), :2]
-    scores = np.empty(len(near))
-    for n, i in enumerate(near):
-        c, s = cos(angles[i]), sin(angles[i])
-        along, across = some[:, 0] * c + some[:, 1] * s - lows[0, i], some[:, 1] * c - some[:, 0] * s - lows[1, i]
-        away = np.minimum(np.minimum(along, sizes[0, i] - along), np.minimum(across, sizes[1, i] - across))
-        scores[n] = (1.0 / np.maximum(away, 2 * min_half_extent_m)).sum()
+    scores = _closeness(read_only(some), angles[near], sizes[:, near], lows[:, near], 2 * float(min_half_extent_m))
     angle = float(angles[near[int(np.argmax(scores))]])
     pose, half_extents_m = _upright(points, hull, angle, float(min_half_extent_m))
     return OrientedBox(world_from_box=pose, half_extents_m=half_extents_m)
+
+
+@kernel
+def _closeness(points, angles, sizes, lows, least):
+    scores = np.zeros(len(angles))
+    for n in range(len(angles)):
+        c, s = cos(angles[n]), sin(angles[n])
+        for i in range(len(points)):
+            along = points[i, 0] * c + points[i, 1] * s - lows[0, n]
+            across = points[i, 1] * c - points[i, 0] * s - lows[1, n]
+            away = min(along, sizes[0, n] - along, across, sizes[1, n] - across)
+            scores[n] += 1.0 / max(away, least)
+    return scores
 
 
 def box_iou(a: OrientedBox, b: OrientedBox) -> float:

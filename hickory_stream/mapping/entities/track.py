@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.boxes import OrientedBox, faced_box
 from hickory_stream.geometry.flush import flush_heights
 from hickory_stream.geometry.lattice import on_steps
 from hickory_stream.geometry.lazy_arrays import give_up
@@ -187,9 +187,9 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
 
 
 def box_of(points: NDArray[Any], voxel_m: float) -> OrientedBox:
-    """Return the gravity-aligned box of a cloud without outliers; large clouds are subsampled."""
+    """Return the upright box of a cloud without outliers, along its sides; large clouds are subsampled."""
     points = points[:: max(1, len(points) // _BOX_POINTS)]
-    return gravity_aligned_box(points[without_outliers(points)], voxel_m)
+    return faced_box(points[without_outliers(points)], voxel_m)
 
 
 def settled(solid: Cloud, voxel_m: float) -> tuple[NDArray[np.float32], OrientedBox] | None:
