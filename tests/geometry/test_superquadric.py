@@ -199,8 +199,8 @@ def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     everywhere, _ = trimesh.sample.sample_surface(mesh, 3000, seed=0)
     gaps, _ = cKDTree(points).query(everywhere)
-    # Points of a needle stand one behind another. Points are spread by area, of which a share of d^2 / 2 L^2 lies within
-    # d of the tip of a pointed needle of half length L.
+    # Points of a needle stand one behind another. They are spread by area, of which d^2 / 2 L^2 lies within d of the
+    # tip of a pointed needle of half length L.
     spacing = max(np.sqrt(mesh.area / count), 2 * largest / count)
     assert gaps.max() <= max(3.5 * spacing, largest * np.sqrt(2 / count))
 
