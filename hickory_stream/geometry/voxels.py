@@ -16,6 +16,8 @@ from hickory_stream.geometry.arrays import read_only
 _BITS = 21
 _OFFSET = 1 << (_BITS - 1)
 _MASK = (1 << _BITS) - 1
+# What a key gains from one voxel to the next along each axis.
+STEP_X, STEP_Y, STEP_Z = 1 << (2 * _BITS), 1 << _BITS, 1
 _NONE = np.empty(0, dtype=np.int64)
 
 

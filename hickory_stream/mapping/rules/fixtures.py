@@ -16,6 +16,9 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import read_only
 from hickory_stream.geometry.voxels import (
+    STEP_X,
+    STEP_Y,
+    STEP_Z,
     cells_of_keys,
     contains,
     contains_near,
@@ -139,13 +142,9 @@ def _walls(track: Track, space: SpaceState) -> NDArray[np.int64]:
     # Structure without the floor, and without other ground: level structure lower than the middle of the track.
     structure = structure_of(space)
     height_m = (layers_of_keys(structure) + 0.5) * space.voxel_m
-    is_covered = contains(structure, structure + 1)  # the voxel above
+    is_covered = contains(structure, structure + STEP_Z)
     floor_m = -np.inf if space.floor_z_m is None else space.floor_z_m + _FLOOR_M
     return structure[(height_m > floor_m) & (is_covered | (height_m > track.box.center[2]))]
-
-
-# What the voxels beside one add to its key.
-_SIDE_STEPS = (1 << 42, -(1 << 42), 1 << 21, -(1 << 21))
 
 
 def _held(
@@ -155,7 +154,8 @@ def _held(
     feet = cells[column_starts(cells)]
     feet = feet[feet[:, 2] < feet[:, 2].min() + _FEET]
     at = keys_of_cells(feet)
-    below, beside = [at - down for down in range(1, _FEET + 1)], [at + step for step in _SIDE_STEPS]
+    below = [at - down * STEP_Z for down in range(1, _FEET + 1)]
+    beside = [at + step for step in (STEP_X, -STEP_X, STEP_Y, -STEP_Y)]
     others = difference(difference(space.surface, walls), keys)
     rests = np.any([contains(others, place) for place in (*below, *beside)], axis=0)
     hangs = np.any([contains(space.free, place) for place in below], axis=0) & ~rests

@@ -17,7 +17,7 @@ from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.voxels import first_not_below, keys_of_points
+from hickory_stream.geometry.voxels import STEP_X, STEP_Y, STEP_Z, first_not_below, keys_of_points
 from hickory_stream.perception.surface import Surface
 from hickory_stream.records import MapPrior, Phase, TrackedObject
 
@@ -116,7 +116,7 @@ def _owners_of_points(
 
 
 # A point's voxel, then its six face neighbours: what they add to its key.
-_STEPS = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)])
+_STEPS = np.array([0, STEP_Z, -STEP_Z, STEP_Y, -STEP_Y, STEP_X, -STEP_X])
 
 
 @kernel

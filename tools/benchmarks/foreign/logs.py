@@ -7,8 +7,11 @@ import os
 import runpy
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,18 +79,31 @@ def foreign_log(
         caches.mark_used(folder)
         return found
     print(f"rendering {world}, walk {walk}, {camera}: minutes, once", flush=True)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
-        made = Path(temporary) / "made"
-        made.mkdir()
+    with _made_whole(folder) as made:
         try:
             output_of("-c", _RUN, worlds / PROGRAM, source, made, *arguments)
         except RuntimeError as error:
             raise RecordingError(f"{PROGRAM} could not render {source}: {error}") from error
+    return found
+
+
+@contextmanager
+def _made_whole(folder: Path) -> Iterator[Path]:
+    # An empty folder to fill, which becomes `folder` at the end, or is removed if that is not reached.
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
+        made = Path(temporary) / "made"
+        made.mkdir()
+        yield made
         shutil.rmtree(folder, ignore_errors=True)
         made.rename(folder)
     caches.prune()
-    return found
+
+
+def world_program(worlds: Path) -> dict[str, Any]:
+    """Return the names that the program of the worlds defines."""
+    import_open3d()  # as the program needs it
+    return runpy.run_path(str(worlds / PROGRAM))
 
 
 def jackal_log(worlds: Path, world: str) -> WorldLog:
@@ -98,19 +114,15 @@ def jackal_log(worlds: Path, world: str) -> WorldLog:
     first, *beside = (folder / name for name in layout_files("kimera_multi", world))
     if not first.is_file():
         print(f"recording {world} as a Jackal: minutes, once", flush=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
-            made = Path(temporary) / "made"
-            made.mkdir()
+        with _made_whole(folder) as made:
             _record_as_jackal(plain, worlds, worlds / _FOLDERS.get(world, world), made)
-            made.rename(folder)
     caches.mark_used(folder)
     return WorldLog(log=first, truth=plain.truth, key=folder.name.removeprefix("foreign-"), beside=tuple(beside))
 
 
 def _record_as_jackal(plain: WorldLog, worlds: Path, source: Path, out: Path) -> None:
     # Colour is the plain log's. Depth is rendered, since its camera is beside and later. Odometry begins at the origin.
-    import_open3d()  # as the program needs it
-    program = runpy.run_path(str(worlds / PROGRAM))
+    program = world_program(worlds)
     scene, sensor, truth = program["Scene"](source), program["Camera"](640, 480, "d455"), load_truth(plain.truth)
     true = np.array([frame.world_from_camera for frame in truth.frames])
     heading = float(np.arctan2(true[0, 1, 2], true[0, 0, 2]))

@@ -5,7 +5,6 @@ The images do not depend on the odometry: they are those of `make_recording --dr
 rendering.
 """
 
-import runpy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,10 @@ from numpy.typing import NDArray
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.ports import Source
 from players import open_source
 from tools.benchmarks.common.figures import Options
-from tools.benchmarks.foreign.logs import PROGRAM, WorldLog, foreign_log, recorded, worlds_folder
+from tools.benchmarks.foreign.logs import WorldLog, foreign_log, recorded, world_program, worlds_folder
 from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.worlds.drift import drift_of, drifted, drifted_poses
 from tools.worlds.recording_config import RecordingConfig, walkable_world
@@ -87,8 +85,7 @@ def _own_walk() -> DriftingWalk:
 def _foreign_walk(worlds: Path) -> DriftingWalk:
     log = foreign_log(worlds, _FOREIGN, "A", "hand", _SECONDS, rate_hz=_RATE_HZ)
     frames = load_truth(log.truth).frames
-    import_open3d()  # as the program needs it
-    program = runpy.run_path(str(worlds / PROGRAM))
+    program = world_program(worlds)
     link_from_camera = program["link_from_optical"]()
     exact = np.array([frame.world_from_camera for frame in frames]) @ invert(link_from_camera)
     odometry = {}
