@@ -156,5 +156,6 @@ def test_a_misspelt_or_former_word_is_answered_by_todays(words, answer, capsys):
 
 
 @pytest.mark.parametrize(("alone", "action"), [("generators", "list"), ("models", "list"), ("cache", "show")])
-def test_a_group_alone_does_its_first_action(alone, action):
+def test_a_group_alone_does_its_first_action(alone, action, tmp_path, monkeypatch):
+    monkeypatch.setenv("HICKORY_CACHE", str(tmp_path))
     assert said(alone) == said(alone, action) != ""

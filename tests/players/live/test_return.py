@@ -72,7 +72,9 @@ def test_all_that_is_published_arrives_and_a_goal_is_answered(route, tmp_path):
     assert transform.child_frame_id == source.odom_frame != ""
     counts = sink.counts()
     assert counts["goals"] == {"answered": 1, "no_path": 0, "refused": 0, "dropped": 0}
-    assert all(fates == {"sent": 1} for fates in counts["topics"].values()), counts
+    # A router of rmw_zenoh may deliver the first message before it announces who listens.
+    may_be = ({"sent": 1}, {"unheard": 1}) if route == "rmw-zenoh" else ({"sent": 1},)
+    assert all(fates in may_be for fates in counts["topics"].values()), counts["topics"]
 
 
 @pytest.mark.parametrize("route", ROUTES)
