@@ -1,7 +1,5 @@
 """hickory-stream: posed RGB-D frames in, a map of objects with four layers out."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any

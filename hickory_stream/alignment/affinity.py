@@ -4,8 +4,6 @@ Unary scores become ranks among all N M pairs, the share of pairs with at least 
 means the same for every network and map. Look-ups of distances build the graph, without testing all pairs of pairs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

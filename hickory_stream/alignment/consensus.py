@@ -6,8 +6,6 @@ search for the maximum weight clique then starts from it, over the vertices that
 pairs that share an object are never connected, so that every clique is one-to-one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

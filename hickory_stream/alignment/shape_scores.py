@@ -4,8 +4,6 @@
 `point_scores` are ROMAN's attributes of the point cloud. NaN if one object lacks the data.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

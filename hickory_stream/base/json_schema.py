@@ -1,7 +1,5 @@
 """JSON Schema (draft 2020-12) of typed records: dataclasses and typed dicts, as `json_text.dumps` writes them."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect

@@ -4,8 +4,6 @@ Child processes compile one part each into the cache. If that fails, a kernel is
 program (`python -m hickory_stream.engine.first_run`) it compiles all parts and prints its progress.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import hashlib

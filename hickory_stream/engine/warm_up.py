@@ -4,8 +4,6 @@ As a program (`python -m hickory_stream.engine.warm_up PART`) it prints compiled
 `first_run`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The least and greatest coordinates of points; NumPy takes several times as long along the columns of rows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

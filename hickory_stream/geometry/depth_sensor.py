@@ -6,8 +6,6 @@ Triangulation (stereo, structured light) errs by the same disparity everywhere, 
 squared (Khoshelham and Oude Elberink, Sensors 2012; Nguyen, Izadi and Lovell, 3DIMPVT 2012).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Disjoint sets as a forest of parents (Tarjan and van Leeuwen 1984)."""
 
-from __future__ import annotations
-
 from hickory_stream.base.compiled import kernel
 
 

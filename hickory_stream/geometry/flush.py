@@ -5,8 +5,6 @@ Without the first, the mean height decides, not the noisiest points. Errors of p
 measured in the same images.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The two voxel lattices of a map, of objects and of the observed space; perception and mapping share them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ and a decision turns a last bit into another map. Between pixels and a map's dig
 (`tests/test_portable_arithmetic.py` lists what else may be). Sums go from the first term to the last.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -4,8 +4,6 @@ These are sums, products, quotients and roots of IEEE doubles in a stated order,
 neither reorders nor fuses them. They follow fdlibm (Sun Microsystems, 1993), good to about one unit in the last place.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.base.compiled import kernel

@@ -4,8 +4,6 @@ The points give the ends along the axes. The frame (upright or principal axes), 
 enough to try them all: boxes, cylinders, ellipsoids and shapes between.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Any

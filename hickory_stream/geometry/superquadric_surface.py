@@ -3,8 +3,6 @@
 A superquadric is the product of two outlines, one around and one from pole to pole.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

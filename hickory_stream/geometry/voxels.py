@@ -3,8 +3,6 @@
 A key packs three 21-bit cell coordinates, so that sorting keys sorts cells and a set operation is a merge.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

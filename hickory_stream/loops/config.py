@@ -1,7 +1,5 @@
 """Configuration of the search for loops."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hickory_stream.base.ranges import Ranged, number

@@ -5,8 +5,6 @@ surface meets, its objects are aligned with theirs, and the surfaces refine the 
 iterations, never in time: the same snapshot gives the same loops.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

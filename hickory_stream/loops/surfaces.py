@@ -5,8 +5,6 @@ only if their normals, which look at the camera, agree (Pulli 1999): the two sid
 much surface met, and how much lies in the free space of the other submap.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The configuration of the core: one section for each part."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from hickory_stream.base.ranges import Ranged

@@ -1,7 +1,5 @@
 """Values derived from the tracks of a state, updated as tracks change; they are not saved."""
 
-from __future__ import annotations
-
 from bisect import bisect_left, insort
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping

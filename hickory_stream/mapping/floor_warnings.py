@@ -4,8 +4,6 @@ The tilt comes from a plane fitted to the lowest structure voxel of each column 
 inliers again. Uneven ground has no tilt.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

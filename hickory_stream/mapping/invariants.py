@@ -3,8 +3,6 @@
 `validate` runs after every event in the tests of the core, and in a run with `--debug`.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 

@@ -1,7 +1,5 @@
 """Public records of the map; records of unchanged tracks and submaps are reused."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any

@@ -3,8 +3,6 @@
 It is no shortest path, but shortening it nearly always yields one. It is used for robots that need not turn.
 """
 
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

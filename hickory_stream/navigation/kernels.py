@@ -4,8 +4,6 @@ A block lists the primitives near it and has a brick of cells with lists of thei
 whether it fills the cell: then no formula is evaluated.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.base.compiled import kernel, numba

@@ -11,8 +11,6 @@ from below. Directions are added until outer and inner outline are within a tole
 sampled: a plate of a millimetre counts wherever in the band it lies.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

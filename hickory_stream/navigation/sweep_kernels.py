@@ -5,8 +5,6 @@ difference, is found by the algorithm of Gilbert, Johnson and Keerthi (1988): a 
 separates both by more than the ball's radius; the nearest point, an upper bound, proves a collision.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.base.compiled import kernel

@@ -4,8 +4,6 @@ Positions are in cells, from the low corner of the grid. A state is posture * he
 is valid if all cells that it touches are free, a turn if every heading that it passes is free.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.base.compiled import kernel

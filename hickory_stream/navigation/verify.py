@@ -4,8 +4,6 @@ A straight motion collides with a convex obstacle if the reference point passes 
 obstacle: an intersection of half planes, by each of which the segment is clipped. A free answer is a proof.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ A planner takes every column with a structure voxel as a wall (`observed.wall_hu
 columns would be posts before the walls: here a wall needs a third of its column observed, including its upper part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Construction of the configured segmenter, feature extractor and semantic model."""
 
-from __future__ import annotations
-
 from typing import assert_never
 
 from hickory_stream.perception.descriptor import ColorTextureDescriptor

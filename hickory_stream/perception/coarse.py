@@ -3,8 +3,6 @@
 About 160 cells across for any camera, at a twentieth of the size of a keyframe in the journal.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ over many objects, since all patches would be similar otherwise. OpenCV's floati
 on some processors only, so gradients have a kernel of their own.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -4,8 +4,6 @@ Room structure is removed, the rest is over-segmented at depth edges, concave cr
 and fragments of one object are merged. It works at a reduced resolution; labels have the frame's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Masks of a frame: overlapping ones as networks give them, and label images with what is measured on them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

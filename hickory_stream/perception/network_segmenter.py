@@ -1,7 +1,5 @@
 """The segmenter with the packaged affinity network: geometric fragments, joined by trees that use its log-odds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

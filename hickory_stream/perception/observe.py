@@ -1,7 +1,5 @@
 """Lifting of masks to 3D: filtered world points of each instance, its box, and R_area and R_depth of its S-score."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass
 from math import isqrt

@@ -1,7 +1,5 @@
 """The perception pipeline for one keyframe: from a frame to the event for the core."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal

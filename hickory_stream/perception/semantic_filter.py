@@ -5,8 +5,6 @@ the observed space: a thing is part of the room where most votes on its surface,
 (`mapping.rules.fixtures`). Only masks of what moves by itself are rejected at once: its places do not add up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

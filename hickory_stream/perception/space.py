@@ -4,8 +4,6 @@ Planning and the removal of false objects rely on it, so a ray stops one voxel b
 return are ignored.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

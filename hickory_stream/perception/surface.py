@@ -4,8 +4,6 @@ Planes are linear in inverse depth, where stereo cameras have uniform noise: nor
 it, then from one over the inliers of the first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

@@ -4,8 +4,6 @@ A large map has more triangles than a picture has pixels, so that drawing them i
 `raycast.Scene` answers rays from anywhere; both agree but at the very edges of triangles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Depth slides along walls and floors, and colour shows nothing of bare ones: both
 that fits neither way is tried against earlier keyframes before it is lost.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

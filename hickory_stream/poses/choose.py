@@ -1,7 +1,5 @@
 """The odometry of a name of `--odometry`."""
 
-from __future__ import annotations
-
 from typing import assert_never
 
 from hickory_stream.ports import Odometry

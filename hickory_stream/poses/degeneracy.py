@@ -5,8 +5,6 @@ surfaces that face it are counted. The ratio of eigenvalues is as small in furni
 count: the rings of a LiDAR on a floor are lines with random normals, which move along with the sensor.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A depth image as a scan: reliable points, thinned out evenly over the image."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.geometry.camera import backproject

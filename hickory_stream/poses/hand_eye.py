@@ -4,8 +4,6 @@ A are motions of the body by its odometry, B motions of the camera, X is `body_f
 together, with the uncertainty of what the motion left open: turns about the vertical leave the camera's height open.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

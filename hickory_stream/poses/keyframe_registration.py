@@ -6,8 +6,6 @@ is aligned with patches of the last keyframes and of those with the most common 
 sees through the surface, or fits too far away, is kept out; after many in a row the surface starts again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -3,8 +3,6 @@
 It gives no uncertainty and no degenerate directions: in a corridor it stands still unnoticed.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Configuration of odometry: sizes in metres, by the sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ normals (symmetric point-to-plane: Rusinkiewicz 2019); Geman and McClure's kerne
 things; Gauss-Newton steps. A Gaussian prior keeps the expected pose along what the surface does not determine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Planes are linear in inverse depth, where a triangulating camera has uniform noi
 twice, the second time over the inliers. Cells beside an edge have no surface.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

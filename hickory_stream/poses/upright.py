@@ -3,8 +3,6 @@
 For the world of a hand-held camera's odometry; gravity is better if it is known.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

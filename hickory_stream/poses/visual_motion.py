@@ -4,8 +4,6 @@ ORB features (Rublee et al., ICCV 2011), matched by the ratio of distances (Lowe
 (OpenCV), then Gauss-Newton over the inliers, which also gives the information of the pose.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -4,8 +4,6 @@ Segal, Haehnel and Thrun, Generalized-ICP (RSS 2009), against Gaussian voxels (K
 which fixes the order of sums. This module adds the prediction, and the tests whether to believe a result.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ radius: since primitives are convex, the balls around three corners suffice. Eve
 needed, must lie in one primitive, unless all of it is within the margin of the surface.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Connected pieces: of cells that touch by a face, and of triangles that share a vertex."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

@@ -4,8 +4,6 @@ The sign comes from winding numbers, the oriented crossings along the six grid d
 still has an inside, and overlapping parts count as one solid. A mesh whose faces point inwards is reversed first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Charts are connected parts whose faces look to one side of the object's box: pro
 stretched by more than 1.7 times. A sheet that lies over another one in a chart, as in a coil, gets its own chart.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

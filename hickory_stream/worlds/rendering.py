@@ -4,8 +4,6 @@ Geometries are numbered with the structure first and the objects after it. Depth
 the pixel's centre. Colour is sampled four times at edges, and inside a face twice, without casting further rays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 The kernels read a table with one row per texture, since a frame has a million points of a hundred textures.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

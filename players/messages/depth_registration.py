@@ -3,8 +3,6 @@
 A depth pixel is a small square of surface. It covers its projected square, slightly enlarged against holes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

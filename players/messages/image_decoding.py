@@ -3,8 +3,6 @@
 Truncated images are refused, since decoders fill missing rows with grey or uninitialised memory.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

@@ -4,8 +4,6 @@ Runs of zeros alternate with zigzag-coded differences; numbers are nibbles of th
 Eight nibbles form a little-endian 32-bit word, highest first.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

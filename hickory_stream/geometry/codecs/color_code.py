@@ -4,8 +4,6 @@ A mean in float32 looks like noise in its lower bytes. As a sum over a number, w
 adding shows, it takes a third less and returns to the bit. Neighbours in space take a ninth less than those in keys.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

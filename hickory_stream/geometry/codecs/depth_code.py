@@ -4,8 +4,6 @@ The prediction is the median of left, upper and plane through both and the one b
 2000): most returns take a byte. The places of returns are not in these bytes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Long columns of free space take less than a byte a voxel so. Voxels that lie apart take more than keys: `is_denser`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

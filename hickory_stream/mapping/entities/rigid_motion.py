@@ -1,7 +1,5 @@
 """Rigid motion of an object: points, box, views, mesh and superquadrics are transformed, nothing is recomputed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ It is made of the low-resolution depth that the journal keeps of each keyframe, 
 the camera: the two sides of a wall are never confused.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ published. A submap ends when the odometry may have drifted by a few centimetres
 everything seen since the last jump in submaps *rigid with the open one*, i.e. with the same corrected pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

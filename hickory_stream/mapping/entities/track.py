@@ -1,7 +1,5 @@
 """A track: the immutable state of one object in the core; and a sighting: one observation of a track."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

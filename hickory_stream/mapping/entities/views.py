@@ -6,8 +6,6 @@ Patch features have unit norm, so sigma^2, the trace of their covariance, is at 
 features. Features are computed only if the bound with sigma^2 = 1 beats the best view. A cut view scores less.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, assert_never

@@ -3,8 +3,6 @@
 The box of an object that the image border cuts is small inside the track's large one, so its IoU is inconclusive.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar

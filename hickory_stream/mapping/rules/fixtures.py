@@ -4,8 +4,6 @@ A fixture is attached to the room, or too large to be carried. The first is a lo
 present points and space, so that it may be revised to the end; the second follows from the volume of the box.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

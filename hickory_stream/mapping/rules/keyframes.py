@@ -1,7 +1,5 @@
 """Keyframe selection from stamps and poses alone, before anything is decoded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

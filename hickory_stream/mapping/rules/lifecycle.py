@@ -4,8 +4,6 @@ A row says: in these phases, if this event occurs and all guards hold, the track
 these effects. The first matching row applies. `steps.ageing` implements guards and effects, by the core's own clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum

@@ -5,8 +5,6 @@ that the map does not depend on the speed of the machine. A shape that fits the 
 half of the surface on either side of a right layer 3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

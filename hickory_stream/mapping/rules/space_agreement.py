@@ -5,8 +5,6 @@ submap, but the map does not show it (`submaps.record_of`). Decisions about trac
 submaps are placed, and when one ends.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from dataclasses import replace
 from itertools import combinations

@@ -4,8 +4,6 @@ E.g. a bowl that an early view segmented with its table. An observation on a tra
 keyframe matches is a part of that track, its host. A part that recurs, mostly apart, becomes a track of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -8,8 +8,6 @@ two, `home` keeps other tracks. An unsupported track, e.g. the shade of a lamp w
 nearest track.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum

@@ -3,8 +3,6 @@
 Occluded contact gives two masks on one object, which neither overlap nor votes merge. Support relations do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Protocol
 from weakref import WeakKeyDictionary

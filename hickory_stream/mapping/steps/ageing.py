@@ -5,8 +5,6 @@ changed ones, their neighbours and timed-out ones are judged again; only the fil
 late. A generated shape whose invented parts a keyframe sees to be free is requested again.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import replace

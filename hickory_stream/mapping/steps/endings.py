@@ -1,7 +1,5 @@
 """Ends of tracks, by drop or merge; and compression of tracks that were not seen recently."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from hickory_stream.events import CancelShape, Effect

@@ -6,8 +6,6 @@ open frame. Two tracks that a correction brings together are merged, and kept as
 track lies where it was joined, or on the rest of its host; otherwise it is taken back, e.g. for a withdrawn loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Shape jobs of the tracks: requests, replacements and results."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hickory_stream.events import CancelShape, Effect, ShapeFailed, ShapeReady

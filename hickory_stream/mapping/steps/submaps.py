@@ -1,7 +1,5 @@
 """Submaps in the steps of a keyframe: begin and view, jumps of the odometry, ends, and searches for loops."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from hickory_stream.events import FrameObserved, LoopsSearched, PoseJumped, SearchLoops

@@ -4,8 +4,6 @@ A keyframe's masks may be wrong: points on another track are not fused, and segm
 only a vote, which `splitting` and `merging` count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The best views of the tracks: proposed by an upper bound of their score, decided once features are computed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hickory_stream.events import DropView, Effect, FeaturesReady, FrameObserved, KeepView

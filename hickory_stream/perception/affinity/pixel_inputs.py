@@ -5,8 +5,6 @@ normals are in the frame of gravity and the heading; depth steps and creases are
 units of its noise. The network was trained to work without scale, height or colour.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,8 +5,6 @@ Affinities at growing distances (Wolf et al. 2018, Lee et al. 2017) by a package
 give the same bytes on every processor (`tests/perception/affinity/test_pixel_inputs.py`).
 """
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import resources

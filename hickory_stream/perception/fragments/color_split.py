@@ -4,8 +4,6 @@ Colour is averaged over windows inside a fragment, so that a texture is one colo
 along their principal colour axis (Otsu 1979). It over-segments on purpose: `join` decides about the pieces.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

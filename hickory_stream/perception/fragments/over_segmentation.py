@@ -3,8 +3,6 @@
 Union-find joins neighbouring pixels: only which pairs may be joined matters, not their order.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

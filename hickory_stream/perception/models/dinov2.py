@@ -4,8 +4,6 @@ The graph takes (1, 3, H, W) in multiples of its patch, normalised as for ImageN
 of which are the patches row by row, or a map (1, D, h, w).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -4,8 +4,6 @@ Each graph is compared with the prediction code of its package: our masks, featu
 package's own, on a picture. A graph that differs is refused.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

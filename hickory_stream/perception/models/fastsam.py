@@ -4,8 +4,6 @@ The graph takes (1, 3, S, S) colour in 0..1 and gives predictions (1, 4 + classe
 (1, C, h, w).
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from typing import Protocol

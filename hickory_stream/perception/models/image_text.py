@@ -5,8 +5,6 @@ The published files: a vision graph (`pixel_values` -> (1, D)), a text graph (`i
 of texts. Source: Radford et al., Learning transferable visual models from natural language supervision, ICML 2021.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Pillow resizes, with its own anti-aliasing, as in training; OpenCV's result would differ by more than a network bears.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ A file is used only with an entry in `manifest.json` (sha256, origin, licence, i
 the error for a missing model says how to get it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

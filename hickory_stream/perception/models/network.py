@@ -4,8 +4,6 @@ onnxruntime falls back to the CPU silently. Here a provider that is configured b
 `auto` uses the best one available and logs its name.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Sequence

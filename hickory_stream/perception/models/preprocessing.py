@@ -1,7 +1,5 @@
 """Pre-processing of images: YOLOv8's letterbox, to the pixel; and normalisation as for ImageNet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

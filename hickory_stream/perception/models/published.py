@@ -3,8 +3,6 @@
 A file is accepted by its hash only, whether it comes from its publisher, a mirror or a folder.
 """
 
-from __future__ import annotations
-
 import http.client
 import shutil
 import urllib.error

@@ -3,8 +3,6 @@
 Ranks distinguish the three kinds of output. Steps and thresholds of queries are those of the library `transformers`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

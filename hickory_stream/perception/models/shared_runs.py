@@ -4,8 +4,6 @@ Results do not depend on timing: every run has the same number of images, since 
 empty ones fill it up. For each size of image a check shows that place and neighbours in a run do not matter.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -3,8 +3,6 @@
 A mask is the sum of the prototypes weighted by a detection's coefficients, interpolated bilinearly inside its box.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 They help in rooms with furniture of the size in the training data. `pair_features` has relative features for others.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.geometry import portable

@@ -4,8 +4,6 @@ Room structure has a label of its own, so that it supports like a table. Gravity
 support surface is searched below the lowest part of a region's outline, the foot.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Features of pairs of regions by name, as columns of one table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache

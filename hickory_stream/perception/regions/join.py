@@ -4,8 +4,6 @@ A round rates all pairs of regions that touch, nearly touch or are bridged behin
 which each region is the most probable partner of the other. Bridged regions are merged without the trees.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 

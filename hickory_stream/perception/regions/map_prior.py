@@ -5,8 +5,6 @@ keep the map from confirming itself, fragments that the frame alone would join c
 and one map object is no evidence for joining fragments on it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ Masks divide fragments; then they shift the log-odds that two regions are one th
 rate geometry and colour. The weights are a logistic regression.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

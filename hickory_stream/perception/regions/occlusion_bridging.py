@@ -5,8 +5,6 @@ the plane becomes visible again; a surface behind the plane ends it. Objects of 
 a horizontal and a vertical plane must both continue.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ Mean log-odds between the two regions at every pixel distance, and their spread;
 network may be uncertain; the difference to the best partner of either; the log-odds that each is an object.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

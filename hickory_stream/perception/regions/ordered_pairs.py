@@ -3,8 +3,6 @@
 `pair_features` derives ratios, angles and multiples of sigma from these, `absolute_features` lengths.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

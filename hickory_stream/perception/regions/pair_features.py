@@ -4,8 +4,6 @@ Of two regions, "large" has more pixels. Sizes are ratios; distances are multipl
 standard deviation of depth; undefined values are NaN.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The extent of regions in space, and of the union of two: principal axes, boxes and heights."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 All measures are sums, minima or maxima, so a merged region's follow from its fragments', without the image.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import Any

@@ -1,7 +1,5 @@
 """Sums of regions over the pixels of a frame, accumulated in one pass in pixel order."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

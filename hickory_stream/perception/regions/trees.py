@@ -1,7 +1,5 @@
 """Boosted trees that estimate whether two regions are one object; `tools/train_segmenter` trains them."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass

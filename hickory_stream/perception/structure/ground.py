@@ -5,8 +5,6 @@ regions of a height map: Douillard et al. 2011). Ground is a region at the heigh
 step above ground and wide enough to stand on, or up to two steps below. Objects are steeper, higher or smaller.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Room structure (floor, walls, ceiling) in a frame, by the frame and the map; shared by all segmenters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

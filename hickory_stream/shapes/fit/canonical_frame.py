@@ -4,8 +4,6 @@ It is the Manhattan frame: grid-parallel faces have exact seeds and distances. I
 the normals' coordinates, weighted by area, by a fixed point (symmetric FastICA's) that rises, as the sum is convex.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

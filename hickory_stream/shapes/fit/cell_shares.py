@@ -4,8 +4,6 @@ Most cells are in or out by bounds without logarithms; the others have the dista
 the last bits, for a block of cells at a time without branches, so that the compiler vectorises.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

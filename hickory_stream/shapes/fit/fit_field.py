@@ -1,7 +1,5 @@
 """The field that primitives are fitted to: signed distances in cells, and the explained share of each cell."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

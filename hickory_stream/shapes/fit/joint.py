@@ -5,8 +5,6 @@ diagonal. A sweep updates the primitives in turn and accepts a step only if the 
 constrains exponents (0.1 or 0.2 for a box): simple shapes are kept if they fit nearly as well, so fits repeat.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

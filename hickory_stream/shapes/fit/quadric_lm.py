@@ -8,8 +8,6 @@ Residuals follow Marching-Primitives (Liu et al., 2023): truncated distances, an
 distribution for the share that belongs to another primitive. Only missing cover can belong to another primitive.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

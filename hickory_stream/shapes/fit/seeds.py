@@ -3,8 +3,6 @@
 A box grown from a deep cell finds a table's top or a chair's leg; the bounds of their common component do not.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

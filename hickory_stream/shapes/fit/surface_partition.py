@@ -3,8 +3,6 @@
 Triangles far outside are bisected: one from a seat down to a leg must not make the seat's primitive grow.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -9,8 +9,6 @@ columns of `BLOCK` numbers, so that no two columns overlap. Its logarithm and ex
 1e-12, no branches, and the same bits on every machine with IEEE doubles.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 A cell with even samples of the surface keeps their mean; every other cell has the distance to the nearest mean.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -6,8 +6,6 @@ How far the unseen rest can be trusted shows on surface that only views other th
 yet corrected, lies there or not. The embedded shape made from those first views alone is judged alike.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ and the best descend. The evidence is the measured surface, silhouettes and free
 Then the mesh may be stretched along its own axes, within bounds, if that explains clearly more.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

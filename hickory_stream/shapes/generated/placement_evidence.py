@@ -3,8 +3,6 @@
 Images have a stride that leaves a few thousand pixels a view: a placement reads them ten thousand times.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ A pose is rotation (9, by rows), translation (3) and factors of size. The loss o
 generated surface, and of surface that a mask lost.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.base.compiled import kernel

@@ -11,8 +11,6 @@ A body that contains a point contains all points no farther from any of its plan
 8,000 vertices about 200. They are found from the farthest along x, with a staircase: y rises along it, and z falls.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

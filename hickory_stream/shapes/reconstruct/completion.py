@@ -4,8 +4,6 @@ An unknown voxel is solid if seen surface that faces two different ways along th
 continue to their own edges, and a plate is as thick as its edge. A front alone ends in a closing face behind it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

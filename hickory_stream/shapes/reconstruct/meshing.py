@@ -4,8 +4,6 @@ Squared distances to a solid's boundary are least sums of three squares, found a
 transform looks at all cells.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

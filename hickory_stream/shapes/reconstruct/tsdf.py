@@ -4,8 +4,6 @@ Signed distances near a surface and free space stay separate until the end. Voxe
 band stay unknown, so that the front of a thin plate never overrules its far side.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 
