@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.ports import Accounting, Interruptible, Seekable, SourceAround, account_of, interrupt, num_seeks

@@ -1,3 +1,4 @@
+import json
 import numpy as np
 import pytest
 from hickory_stream.errors import InputError, RecordingError
@@ -180,6 +181,7 @@ if (world / "broken").exists():
 (out / "truth").mkdir()
 (out / "truth" / "truth.json").write_text("{}")
 (out / "log.mcap").write_text(" ".join(sys.argv[3:]))
+(out / "truth" / "world.json").write_text((world / "world.json").read_text())
 with (world / "runs").open("a") as runs:
     runs.write("1")
 """
@@ -212,6 +214,14 @@ def test_a_log_is_rendered_once_per_world_unless_that_fails(worlds, tmp_path):
     assert {path for path in (tmp_path / "cache").rglob("*") if path.is_file()} == kept
     with pytest.raises(RecordingError, match="bookstore is no world"):
         foreign_log(worlds, "bookstore", "A", "hand")
+
+
+def test_a_walk_back_has_the_places_of_the_walk(worlds):
+    points = [[0, 0], [1, 0], [1, 2], [0, 2]]
+    (worlds / "home" / "world.json").write_text(json.dumps({"walks": {"A": {"points": points, "sway_deg": 5}}}))
+    back = json.loads((foreign_log(worlds, "home", "A-back", "robot").truth / "world.json").read_text())["walks"]
+    assert back["A-back"] == {"points": [[0, 0], [0, 2], [1, 2], [1, 0]], "sway_deg": 5}
+    assert back["A"]["points"] == points
 
 
 def test_intervals_are_wilsons_or_a_repeatable_bootstrap():

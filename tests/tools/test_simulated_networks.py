@@ -4,7 +4,6 @@ from hickory_stream.errors import RecordingError
 from tools.evaluation.masks.simulated_networks import LADDER, OTHER_RATES, WITHOUT_HABITS, SimulatedNetwork, simulator
 
 SIMULATOR = """
-from __future__ import annotations
 from dataclasses import dataclass
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 # beside the checkout. Logs are kept with the other recordings ($HICKORY_CACHE), 80 to 100 MB each.
 
 import hashlib
+import json
 import os
 import runpy
 import shutil
@@ -32,6 +33,7 @@ from tools.worlds.recording_config import RecordingConfig
 PROGRAM = "make_world_log.py"
 _RATE_HZ = 5.0
 _HEIGHT_M = {"hand": 1.4, "robot": 0.45}
+BACK = "-back"
 _FOLDERS = {"office": "service-office"}
 _OPTIONS = {"campus": ["--camera", "d455", "--speed", "0.8"]}
 # The program imports Open3D, which needs a library that the project provides.
@@ -63,7 +65,10 @@ def worlds_folder(named: Path | None) -> Path:
 def foreign_log(
     worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0, *, rate_hz: float = _RATE_HZ
 ) -> WorldLog:
-    """Return the log of a walk with exact poses, rendered if it is not cached; `camera` is `hand` or `robot`."""
+    """Return the log of a walk with exact poses, rendered if it is not cached; `camera` is `hand` or `robot`.
+
+    A walk such as `A-back` visits the places of walk A in the other direction.
+    """
     # Raises RecordingError: there is no such world, or it cannot be rendered.
     source = worlds / _FOLDERS.get(world, world)
     arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{rate_hz:g}"]
@@ -79,12 +84,30 @@ def foreign_log(
         caches.mark_used(folder)
         return found
     print(f"rendering {world}, walk {walk}, {camera}: minutes, once", flush=True)
-    with _made_whole(folder) as made:
+    with _made_whole(folder) as made, _with_walk(source, walk) as world_folder:
         try:
-            output_of("-c", _RUN, worlds / PROGRAM, source, made, *arguments)
+            output_of("-c", _RUN, worlds / PROGRAM, world_folder, made, *arguments)
         except RuntimeError as error:
             raise RecordingError(f"{PROGRAM} could not render {source}: {error}") from error
     return found
+
+
+@contextmanager
+def _with_walk(source: Path, walk: str) -> Iterator[Path]:
+    # The folder of a world, or one that has its meshes and the walk back.
+    if not walk.endswith(BACK):
+        yield source
+        return
+    world = json.loads((source / "world.json").read_text(encoding="utf-8"))
+    forth = world["walks"][walk.removesuffix(BACK)]
+    first, *others = forth["points"]
+    world["walks"][walk] = {**forth, "points": [first, *reversed(others)]}
+    with tempfile.TemporaryDirectory() as temporary:
+        for entry in source.iterdir():
+            (Path(temporary) / entry.name).symlink_to(entry)
+        (Path(temporary) / "world.json").unlink()
+        (Path(temporary) / "world.json").write_text(json.dumps(world), encoding="utf-8")
+        yield Path(temporary)
 
 
 @contextmanager

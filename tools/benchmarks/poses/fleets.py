@@ -34,8 +34,8 @@ from players import SourceOptions, open_source
 from tools.benchmarks.common.cached_runs import cached, cached_map, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import COARSE, NO_SHAPES
-from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
-from tools.benchmarks.foreign.parts import CAMPUS, CAMPUS_WALKS
+from tools.benchmarks.foreign.logs import BACK, foreign_log, worlds_folder
+from tools.benchmarks.foreign.parts import CAMPUS
 from tools.benchmarks.poses.drift import CONFIG, keyframe_poses, map_from_world
 from tools.benchmarks.poses.drift_logs import drifting, moved_to
 from tools.worlds.cache import cached_recording
@@ -46,6 +46,7 @@ _ROOM = RecordingConfig(scene="room", seconds=6.0, rate_hz=2.0, width=320, heigh
 _APARTMENT_S = 25.0
 _APARTMENT = RecordingConfig(scene="apartment", seconds=_APARTMENT_S, rate_hz=4.0, width=320, height=240, robots=3)
 _WRONG_M, _WRONG_RAD = 0.5, np.radians(5.0)
+_CAMPUS_WALKS = (("A", "robot"), ("A", "hand"), ("B", "robot"), (f"A{BACK}", "robot"))
 # Robots that truly share fewer objects than that, seen for 30 % and more by both, need not be joined.
 _SHARED, _SEEN = 5, 0.3
 
@@ -112,7 +113,7 @@ def campus_figures(options: Options) -> list[Figure]:
     except RecordingError:
         return []
     folder, maps = state_folder(options.state, "campus"), {}
-    for walk, camera in CAMPUS_WALKS:
+    for walk, camera in _CAMPUS_WALKS:
         name, log = f"{walk}-{camera}", foreign_log(worlds, CAMPUS, walk, camera)
         true = {frame.stamp_ns: frame.world_from_camera for frame in load_truth(log.truth).frames}
         source = moved_to(open_source(str(log.log)), drifting(true, 1.0, [51, len(maps)]))

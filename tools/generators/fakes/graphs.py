@@ -2,8 +2,6 @@
 # On this one object the graphs do what the networks learned: the refiner moves the rendered middle to the observed one
 # and turns red and green parts together; the scorer counts differences. Exchanged inputs or axes lead elsewhere.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
