@@ -1,7 +1,5 @@
 """Alignment of two overlapping maps, with its uncertainty; a refusal if there is no significant alignment."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -119,7 +117,7 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
 
 
 def _answered(
-    map_b: ObjectMap, scores: PairScores, findings: Findings, placed: _Placed, config: AlignConfig
+    map_b: ObjectMap, scores: PairScores, findings: Findings, placed: "_Placed", config: AlignConfig
 ) -> Alignment:
     best, settled = placed.best, placed.settled
     map_a, judged = findings.map_a, findings.judged

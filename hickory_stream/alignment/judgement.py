@@ -4,8 +4,6 @@ Where a place repeats itself, transforms that lay its copies on one another expl
 is found by the objects of which a map has no second: each two of them at one distance in both maps give a transform.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -73,7 +71,7 @@ class Findings:
 
     map_a: ObjectMap
     evidence: Evidence
-    judged: tuple[Judged, ...]
+    judged: "tuple[Judged, ...]"
     notes: tuple[str, ...]
 
     def refusal(self, kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()) -> NoAlignment:

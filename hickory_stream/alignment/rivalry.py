@@ -16,8 +16,6 @@ against the supposition that the rival is right:
 The clearest of the three counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -79,7 +77,7 @@ def alike(evidence: Evidence, hypothesis: Hypothesis) -> NDArray[np.bool_]:
 _Told = tuple[tuple["Hypothesis", "Contradictions"], "_Explained"]
 
 
-def _significance(evidence: Evidence, one: _Told, other: _Told, others: Sequence[_Explained]) -> float:
+def _significance(evidence: Evidence, one: _Told, other: _Told, others: "Sequence[_Explained]") -> float:
     # -log10 of the probability of the evidence for `one` if `other` is right.
     ((hypothesis, space), own), ((rival, rival_space), rivals_own) = one, other
     logs = [

@@ -4,8 +4,6 @@ A file is written beside its place, synced and renamed. Only here errors of the 
 full disk gives the same message everywhere.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -96,7 +94,7 @@ class AtomicFiles:
             os.replace(partial, path)  # noqa: PTH105
         self._paths.clear()
 
-    def __enter__(self) -> AtomicFiles:
+    def __enter__(self) -> "AtomicFiles":
         return self
 
     def __exit__(self, *_: object) -> None:

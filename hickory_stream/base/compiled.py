@@ -4,8 +4,6 @@ numba compares only a function's own file, and writes beside modules, which an i
 a kernel's folder is a hash of its file and of all files that it takes kernels and constants from.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import re
@@ -50,7 +48,7 @@ class KernelLocator:
         mark_used(self._folder)
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelLocator | None:
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "KernelLocator | None":
         """Return the locator of a function; None for foreign functions, or without a file."""
         if not _is_ours(py_func) or not Path(py_file).is_file():
             return None

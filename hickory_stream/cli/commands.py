@@ -1,7 +1,5 @@
 """The commands of a parser, a walk over them, and their exit statuses."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from collections.abc import Callable, Iterator
@@ -43,7 +41,7 @@ class Commands:
         """Return the parser of a command without the common options."""
         return self._add(name, [], **defaults)
 
-    def group(self, name: str, run: Callable[[argparse.Namespace], int] | None = None) -> Commands:
+    def group(self, name: str, run: Callable[[argparse.Namespace], int] | None = None) -> "Commands":
         """Return the actions of a command, which alone does `run`, if given."""
         alone = {} if run is None else {"run": run, "json": False, "debug": False}
         return Commands(self.add_plain(name, **alone), self._common, self._configured, f"{name} ")

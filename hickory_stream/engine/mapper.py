@@ -3,8 +3,6 @@
 `async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`
 """
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import shutil
@@ -176,7 +174,7 @@ class Mapper:
         segmenter: Segmenter | None = None,
         extractor: FeatureExtractor | None = None,
         workers: ShapeWorkers | None = None,
-    ) -> Mapper:
+    ) -> "Mapper":
         """Return a mapper that continues the interrupted playback of a map folder; `run` it with the same source.
 
         The configuration is the folder's; interpreter and cluster of the workers are `machine`'s. If the folder names
@@ -194,7 +192,7 @@ class Mapper:
         """The name of the feature extractor."""
         return self._extractor.name
 
-    async def __aenter__(self) -> Mapper:
+    async def __aenter__(self) -> "Mapper":
         await self._workers.__aenter__()
         self._threads = threadpool_limits(limits=1, user_api="blas")
         return self

@@ -4,8 +4,6 @@ Each sink has a thread behind a bounded queue. If an essential sink fails, the r
 a warning.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import queue
@@ -28,7 +26,7 @@ class ReportPublisher:
 
     def __init__(
         self,
-        sinks: Sequence[SinkThread],
+        sinks: "Sequence[SinkThread]",
         publish: Callable[[MapSnapshot], None],
         progress: Callable[[Progress], None],
         *,

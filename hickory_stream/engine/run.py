@@ -14,8 +14,6 @@ map. Work of more than a millisecond runs on a thread or in a child. A playback 
 the newest keyframe and counts skipped frames.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time
@@ -73,7 +71,7 @@ logger = logging.getLogger(__name__)
 class Run:
     """Maps one source by `run()`, once; `stop()` from any task ends it early, in order."""
 
-    def __init__(self, parts: RunParts) -> None:
+    def __init__(self, parts: "RunParts") -> None:
         config, folder = parts.config, parts.folder
         self._parts = parts
         self._stop = StopRequest()

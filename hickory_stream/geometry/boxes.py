@@ -4,8 +4,6 @@ The boundary of an intersection consists of the faces of each box inside the oth
 their cones gives its volume exactly, without building the polyhedron.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,7 +69,7 @@ class OrientedBox:
         limits = self.half_extents_m + margin_m
         return _held(read_only(points_world), self.world_from_box, limits, is_column)
 
-    def grown(self, margin_m: float) -> OrientedBox:
+    def grown(self, margin_m: float) -> "OrientedBox":
         """Return the box with every half extent larger by `margin_m`."""
         return OrientedBox(world_from_box=self.world_from_box, half_extents_m=self.half_extents_m + margin_m)
 

@@ -1,7 +1,5 @@
 """The pinhole camera: x right, y down, z forward; images are rectified before they reach a `Camera`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +32,7 @@ class Camera:
         """The (3, 3) intrinsic matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    def scaled(self, factor: float) -> Camera:
+    def scaled(self, factor: float) -> "Camera":
         """Return the camera of the image resized by `factor` (both sides rounded)."""
         width, height = round(self.width * factor), round(self.height * factor)
         sx, sy = width / self.width, height / self.height
@@ -47,7 +45,7 @@ class Camera:
             cy=(self.cy + 0.5) * sy - 0.5,
         )
 
-    def cropped(self, x0: int, y0: int, x1: int, y1: int) -> Camera:
+    def cropped(self, x0: int, y0: int, x1: int, y1: int) -> "Camera":
         """Return the camera of the image part [y0:y1, x0:x1]."""
         return Camera(width=x1 - x0, height=y1 - y0, fx=self.fx, fy=self.fy, cx=self.cx - x0, cy=self.cy - y0)
 

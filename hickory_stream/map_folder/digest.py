@@ -7,8 +7,6 @@ and edges of a pose graph. It leaves out timings, ledger, configuration, revisio
 file names, and observed space.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import struct
@@ -97,7 +95,7 @@ def _primitive_values(primitives: Superquadrics) -> tuple[Any, ...]:
     return (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
 
 
-def _feed(digest: hashlib._Hash, value: Any) -> None:
+def _feed(digest: "hashlib._Hash", value: Any) -> None:
     # Kind and size come first, so that no two sequences of values give the same bytes.
     match value:
         case None:

@@ -4,8 +4,6 @@
 changed: unchanged records keep their part of the document and their files.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -76,7 +74,7 @@ class SnapshotEncoder:
         return {name for entry in self._entries for name in entry.files}
 
     @property
-    def _entries(self) -> list[_Entry[Any]]:
+    def _entries(self) -> "list[_Entry[Any]]":
         return [*self._submaps.values(), *self._objects.values()]
 
 
@@ -174,7 +172,7 @@ def create_map_folder(
     extractor: str = "",
     processor: str = "",
     overwrite: bool = False,
-) -> MapFolder:
+) -> "MapFolder":
     """Return a new, empty map folder, locked until it is closed; `overwrite` replaces an existing map, nothing else.
 
     `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be JSON; `extractor` makes the features,
@@ -214,7 +212,7 @@ def create_map_folder(
     return MapFolder(path, manifest, lock)
 
 
-def reopen_map_folder(path: Path) -> MapFolder:
+def reopen_map_folder(path: Path) -> "MapFolder":
     """Return the map folder of an interrupted run, to be continued; locked until it is closed.
 
     Raises `MapFolderError`: there is no map, it has another format, or another process writes it.

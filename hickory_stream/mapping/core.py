@@ -3,8 +3,6 @@
 `MapperCore.handle(event)` has no I/O, clock or randomness: equal events in equal order give an equal map, to the byte.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Collection, Mapping
 from typing import Any, assert_never
@@ -190,13 +188,13 @@ class MapperCore:
         return self._state.parts()
 
     @classmethod
-    def from_state(cls, config: MappingConfig, state: Mapping[str, Any]) -> MapperCore:
+    def from_state(cls, config: MappingConfig, state: Mapping[str, Any]) -> "MapperCore":
         """Return a core that resumes from a result of `state`; raises `ValueError` for another version's."""
         core = cls(config)
         core._state = MapState.of_parts(state, _new_map(config))
         return core
 
-    def going_on_after(self, later: MapperCore, lost_views: Collection[str]) -> MapperCore:
+    def going_on_after(self, later: "MapperCore", lost_views: Collection[str]) -> "MapperCore":
         """Return a core with this earlier map, to continue after the run was rewound from the `later` core to it.
 
         Ids, tickets and revisions continue from `later`; views named in `lost_views` have no pixels and are removed.

@@ -3,8 +3,6 @@
 Only the modules that `MapperCore` calls change it. Tracks, submaps and votes are immutable, so copies share them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields
@@ -153,7 +151,7 @@ class MapState:
         return {name: _copied(getattr(self, name)) for name in _PARTS}
 
     @classmethod
-    def of_parts(cls, parts: Mapping[str, Any], empty: MapState) -> Self:
+    def of_parts(cls, parts: Mapping[str, Any], empty: "MapState") -> Self:
         """Return the state of `parts`; `empty` is a new map's. Raises `ValueError` if another version wrote them."""
         expected = {name: getattr(empty, name) for name in _PARTS}
         if parts.keys() != expected.keys():
@@ -164,7 +162,7 @@ class MapState:
                 values[name] = type(value)(parts[name])
         return cls(**values)
 
-    def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
+    def going_on_after(self, later: "MapState", lost_views: Collection[str]) -> None:
         """Prepare this earlier state for continuing after a rewind from `later`; see `MapperCore.going_on_after`."""
         self.next_id = max(self.next_id, later.next_id)
         self.next_ticket = max(self.next_ticket, later.next_ticket)

@@ -4,8 +4,6 @@ All answers are conservative: free is proven, a hit may be a near miss by a stat
 changes only the blocks of the two-level grid that it overlaps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from enum import IntEnum
 from functools import lru_cache
@@ -64,7 +62,7 @@ class ClearanceScene:
         self._space_from_world = np.eye(4)
 
     @classmethod
-    def of(cls, objects: Iterable[TrackedObject]) -> ClearanceScene:
+    def of(cls, objects: Iterable[TrackedObject]) -> "ClearanceScene":
         """Return the scene of the objects that have a layer 4."""
         scene = cls()
         for tracked in objects:

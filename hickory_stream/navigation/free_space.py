@@ -3,8 +3,6 @@
 Places outside of the grid, and unobserved ones, are blocked, unless unknown space is declared free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -53,7 +51,7 @@ class HullGroup:
     high: NDArray[np.float64]
 
     @classmethod
-    def of(cls, hulls: NDArray[np.float64]) -> HullGroup:
+    def of(cls, hulls: NDArray[np.float64]) -> "HullGroup":
         """Return the group of these hulls."""
         lows, highs = hulls[..., :2].min(axis=1), hulls[..., :2].max(axis=1)
         return cls(hulls=hulls, lows=lows, highs=highs, low=lows.min(axis=0), high=highs.max(axis=0))

@@ -4,8 +4,6 @@ A stand-in contains all points of a track from its first keyframe on: its sketch
 by least volume. Slabs are not divided vertically, so that the inside of a half-seen object stays occupied.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -153,7 +151,7 @@ class _Part:
     saves_m3: float
 
     @classmethod
-    def of(cls, local: NDArray[np.float64], margin_m: float) -> _Part:
+    def of(cls, local: NDArray[np.float64], margin_m: float) -> "_Part":
         heights = local[:, 2]
         cuts = np.linspace(heights.min(), heights.max(), _CUTS + 2)[1:-1]
         low, high = _extents(local, cuts)

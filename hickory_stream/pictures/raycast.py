@@ -1,7 +1,5 @@
 """Ray casting of coloured surfaces without a screen."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -68,7 +66,7 @@ class Hits:
     colors: NDArray[np.float32]
     owners: NDArray[np.int32]
 
-    def part(self, chosen: NDArray[np.int64]) -> Hits:
+    def part(self, chosen: NDArray[np.int64]) -> "Hits":
         """Return the hits of some of the rays."""
         return Hits(
             distance_m=self.distance_m[chosen],

@@ -1,7 +1,5 @@
 """A picture of a plan: the grid from above, layer 4 of the objects in their colours, the path and the body along it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +66,7 @@ class _Canvas:
     pixels_per_m: float
 
     @classmethod
-    def of(cls, space: FreeSpace) -> _Canvas:
+    def of(cls, space: FreeSpace) -> "_Canvas":
         import cv2
 
         frame = space.frame

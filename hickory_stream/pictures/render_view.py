@@ -4,8 +4,6 @@ Light: a headlight, a sun and an ambient sky with ambient occlusion. Walls fade 
 was not seen.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,7 +80,7 @@ class _Seen:
     walls: Hits
     glass: Hits
 
-    def part(self, chosen: NDArray[np.int64]) -> _Seen:
+    def part(self, chosen: NDArray[np.int64]) -> "_Seen":
         return _Seen(solid=self.solid.part(chosen), walls=self.walls.part(chosen), glass=self.glass.part(chosen))
 
 

@@ -1,7 +1,5 @@
 """A question from the grammar: conditions that each object fulfils to a degree."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -110,7 +108,7 @@ class Related:
     """The object has this relation to a landmark."""
 
     relation: Relation
-    to: Thing | ObjectOfId | Place | Room
+    to: "Thing | ObjectOfId | Place | Room"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,14 +121,14 @@ class Most:
     name: str
     quantity: Quantity | None
     is_least: bool = False
-    nearest_to: Thing | ObjectOfId | Place | None = None
+    nearest_to: "Thing | ObjectOfId | Place | None" = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Not:
     """An object that is not such a thing."""
 
-    thing: Thing
+    thing: "Thing"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -138,7 +136,7 @@ class Either:
     """An object that is one of some things; `name` is a word for all of them."""
 
     name: str
-    things: tuple[Thing, ...]
+    things: "tuple[Thing, ...]"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -4,8 +4,6 @@ Messages are what Nav2's static layer subscribes to: nav_msgs/OccupancyGrid on `
 map_msgs/OccupancyGridUpdate on `/map_updates`. They go into an MCAP file of ROS 2 messages and to any callable.
 """
 
-from __future__ import annotations
-
 import errno
 import logging
 import os
@@ -92,7 +90,7 @@ class CostmapSink:
             # A new reader has received nothing yet: the next update is a whole grid.
             self._costmap = Costmap(self._robot, cell_m=_CELL_M, seen=self._seen)
 
-    def _write(self, file: _Messages, update: CostmapUpdate) -> None:
+    def _write(self, file: "_Messages", update: CostmapUpdate) -> None:
         try:
             file.write(update)
         except BrokenPipeError:

@@ -1,7 +1,5 @@
 """Closed parts of one texture, and models: unions of parts, z up, with the origin at the centre of the base."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,7 +27,7 @@ class Part:
         freeze(self, "vertices", np.float64, (None, 3))
         freeze(self, "faces", np.int32, (None, 3))
 
-    def moved(self, by: Sequence[float] | NDArray[Any], rotation: NDArray[Any] | None = None) -> Part:
+    def moved(self, by: Sequence[float] | NDArray[Any], rotation: NDArray[Any] | None = None) -> "Part":
         """Return the part rotated by a (3, 3) matrix about the origin, then translated by (x, y, z) metres."""
         turned = self.vertices if rotation is None else self.vertices @ np.asarray(rotation).T
         return Part(vertices=turned + np.asarray(by, dtype=np.float64), faces=self.faces, texture=self.texture)

@@ -1,7 +1,5 @@
 """A world: models with poses, and the structure around them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -93,13 +91,13 @@ class Placement:
     model: Model
     world_from_object: NDArray[np.float64]
 
-    def fits(self, others: Sequence[Placement], margin_m: float) -> bool:
+    def fits(self, others: "Sequence[Placement]", margin_m: float) -> bool:
         """Return whether it keeps a horizontal distance of `margin_m` from every part of every other placement."""
         near = [other for other in others if self._may_touch(other, margin_m)]
         mine = part_boxes(self.model, self.world_from_object, margin_m) if near else []
         return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in near)
 
-    def _may_touch(self, other: Placement, margin_m: float) -> bool:
+    def _may_touch(self, other: "Placement", margin_m: float) -> bool:
         # Whether the spheres around both overlap: a test before anything is computed of parts.
         (mine, reach), (theirs, their_reach) = _sphere(self.model), _sphere(other.model)
         gap = apply(self.world_from_object, mine) - apply(other.world_from_object, theirs)

@@ -1,7 +1,5 @@
 """A person's walk in a room, along the line of largest clearance, and where the camera looks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +16,7 @@ _LOOKAHEAD = 3
 
 
 def gaze(
-    world: World, positions: NDArray[np.float64], step_s: float, config: WalkConfig
+    world: World, positions: NDArray[np.float64], step_s: float, config: "WalkConfig"
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return smooth (N,) yaw and pitch of the optical axis, at first towards the middle of the room.
 
@@ -114,7 +112,7 @@ class _Attention:
         quality, side = self._view(position, yaw)
         self._looks[np.arange(len(side)), side] += quality
 
-    def pitch(self, position: NDArray[np.float64], yaw: float, config: WalkConfig) -> float:
+    def pitch(self, position: NDArray[np.float64], yaw: float, config: "WalkConfig") -> float:
         weight = self._gains(position, yaw) + 1e-3
         distance = np.linalg.norm(self._centers[:, :2] - position, axis=1)
         angles = np.arctan2(self._centers[:, 2] - config.eye_height_m, distance)
@@ -149,7 +147,7 @@ class NoWalk:
     clearance_m: float
 
 
-def walk_round(world: World, seconds: float, config: WalkConfig, rng: np.random.Generator) -> Trajectory | NoWalk:
+def walk_round(world: World, seconds: float, config: "WalkConfig", rng: np.random.Generator) -> Trajectory | NoWalk:
     """Return a walk of `seconds` around the centre of the world, with random start and direction."""
     loop, clearance_m = _clear_loop(world)
     if clearance_m < config.clearance_m:
@@ -189,7 +187,7 @@ def camera_poses(
     positions: NDArray[np.float64],
     yaw: NDArray[np.float64],
     pitch: NDArray[np.float64],
-    config: WalkConfig,
+    config: "WalkConfig",
 ) -> NDArray[np.float64]:
     """Return (N, 4, 4) `world_from_camera` with the gait's bobbing and a little roll."""
     gait = 2 * np.pi * config.step_hz * times_s

@@ -1,7 +1,5 @@
 """How much of each object's surface a log shows, by samples that agree with a frame's exact depth and instance."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,7 +51,7 @@ class SeenSurface:
         agrees = np.abs(depth_m[y, x] - points_camera[inside, 2]) < _AGREEMENT_M
         self._is_seen[index[agrees & (instances[y, x] == self._ids[index])]] = True
 
-    def include(self, other: SeenSurface) -> None:
+    def include(self, other: "SeenSurface") -> None:
         """Mark what another log of the same world shows; both must have drawn their samples alike."""
         if not np.array_equal(self._points, other._points):
             raise ValueError("the samples of two worlds cannot be compared")

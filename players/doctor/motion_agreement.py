@@ -4,8 +4,6 @@ Corners of one image are found in the next; their depth and the pinhole camera g
 the units of the depth and in the axes of the image. Each fault is a hypothesis on the poses; the sound one comes first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -281,7 +279,7 @@ def _axes_text(axes: Matrix) -> str:
     return " ".join(f"{'-' * int(column.sum() < 0)}{'xyz'[int(np.argmax(np.abs(column)))]}" for column in axes.T)
 
 
-def _trials(seen: _Seen, track: _Track, link: Matrix | None) -> Iterator[tuple[Poses, _Fit, _Track]]:
+def _trials(seen: "_Seen", track: "_Track", link: Matrix | None) -> "Iterator[tuple[Poses, _Fit, _Track]]":
     yield "sound", max((seen.fit(track, 0.0, axes) for axes in _AXES), key=lambda fit: fit.share), track
     for body_from_camera in (np.eye(4), *([] if link is None else [link])):
         camera_from_body = invert(body_from_camera)

@@ -5,8 +5,6 @@ at their usual rate; a delay does the opposite. If the recorder's clock is the s
 both times. Messages are held for a moment only while a step is suspected.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -34,7 +32,7 @@ class Timed(NamedTuple):
     message: Any
     shift_ns: int = 0
 
-    def shifted(self, shift_ns: int) -> Timed:
+    def shifted(self, shift_ns: int) -> "Timed":
         """Return the message with a corrected stamp."""
         stamp_ns = self.stamp_ns + shift_ns if self.stamp_ns else self.stamp_ns
         return self._replace(stamp_ns=stamp_ns, shift_ns=self.shift_ns + shift_ns)

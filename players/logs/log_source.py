@@ -4,8 +4,6 @@ Opening reads up to the first complete frame, so that an unusable log is refused
 A pair waits until poses up to its stamp have been read, or none can be expected.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -96,7 +94,7 @@ class LogSource:
         """How often a clock was set in the latest pass."""
         return len(self._clock.texts)
 
-    def with_plan(self, plan: PosePlan) -> LogSource:
+    def with_plan(self, plan: PosePlan) -> "LogSource":
         """Return the same log with poses from another plan.
 
         Raises `RecordingError`: no frame has a pose by that plan.

@@ -4,8 +4,6 @@ Leaf pages describe their own rows, so the B-tree above them is not needed. Colu
 A row whose overflow pages form no chain of the right length has no values.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ _MAX_ROW_BYTES = 1 << 30
 class Row:
     """A row of a leaf page; `values()` reads it, overflow pages included."""
 
-    pages: PageFile
+    pages: "PageFile"
     rowid: int
     offset: int
     payload_bytes: int

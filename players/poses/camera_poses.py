@@ -4,8 +4,6 @@ An odometry topic with static TF (or profile) links to the camera comes first, t
 An unknown link is an error that names both ends. `PoseReader` collects messages; a `PosePlan` combines them.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -88,7 +86,7 @@ class PosePlan:
         moving = tuple(link.key for link in self.links if link.key is not None)
         return moving if self.stream is None else (self.stream.key, *moving)
 
-    def at(self, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
+    def at(self, stamp_ns: int, epoch: int, reader: "PoseReader") -> NDArray[np.float64] | None:
         """Return the pose (4, 4) at a stamp, or None where there is none."""
         world_from_camera = np.eye(4)
         if self.stream is not None:
@@ -104,7 +102,7 @@ class PosePlan:
             world_from_camera = compose(world_from_camera, invert(pose) if link.is_inverted else pose)
         return world_from_camera
 
-    def reaches(self, stamp_ns: int, epoch: int, reader: PoseReader) -> bool:
+    def reaches(self, stamp_ns: int, epoch: int, reader: "PoseReader") -> bool:
         """Return whether the pose at a stamp is final: no later message can change it."""
         for key in self.keys:
             if reader.epoch_of(key) > epoch:
@@ -114,7 +112,7 @@ class PosePlan:
                 return False
         return True
 
-    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: PoseReader) -> Jump | None:
+    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: "PoseReader") -> Jump | None:
         """Return the last jump of a link between two stamps."""
         for key in self.keys:
             track = reader.track(key, epoch)
@@ -123,7 +121,7 @@ class PosePlan:
                 return jump
         return None
 
-    def relinked(self, tree: FrameTree) -> PosePlan | None:
+    def relinked(self, tree: FrameTree) -> "PosePlan | None":
         """Return the plan with the static links as they are now; None while its moving links are not in the tree."""
         if self.ends is None:
             return self
@@ -136,7 +134,7 @@ UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="n
 """The plan of a log without poses: each frame has the identity as its pose until odometry estimates one."""
 
 
-def _moving(link: _Link, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
+def _moving(link: _Link, stamp_ns: int, epoch: int, reader: "PoseReader") -> NDArray[np.float64] | None:
     # A link that never changed is valid at any time, like static links on /tf in ROS 1.
     assert link.key is not None
     track = reader.track(link.key, epoch)

@@ -3,8 +3,6 @@
 Number and speed of workers change when an answer comes, never what it is.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging
@@ -155,12 +153,12 @@ class LocalWorkers:
             if child is not None:
                 await self._end(child)
 
-    async def _start(self) -> _Child:
+    async def _start(self) -> "_Child":
         child = await _Child.start(self._python, self.niceness, self._environment)
         self._children.add(child)
         return child
 
-    async def _end(self, child: _Child) -> None:
+    async def _end(self, child: "_Child") -> None:
         self._children.discard(child)
         await child.kill()
 
@@ -174,7 +172,7 @@ class _Child:
         self._process = process
 
     @classmethod
-    async def start(cls, python: str, niceness: int, environment: Mapping[str, str]) -> _Child:
+    async def start(cls, python: str, niceness: int, environment: Mapping[str, str]) -> "_Child":
         try:
             process = await asyncio.create_subprocess_exec(
                 *(python, "-m", "hickory_stream.engine.shape_jobs.worker"),

@@ -5,8 +5,6 @@ worth 1 / sigma^2 of its depth, so that far returns count little where near ones
 that were not seen recently are compressed, to a fifth to a half, and read back to the byte; the object stays the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from threading import RLock
@@ -41,7 +39,7 @@ _NO_WEIGHTS = np.empty(0, np.float32)
 # A depth of which nothing is known is sure to 2^-7 m, 8 mm.
 _WEIGHT = np.float32(2**14)
 _lock = RLock()
-_cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
+_cold: "WeakKeyDictionary[Any, _Packed]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)

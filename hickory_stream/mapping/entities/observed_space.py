@@ -1,7 +1,5 @@
 """The observed space: free voxels and voxels of structure, as sorted keys, and the rule that finds columns of walls."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -73,15 +71,15 @@ class Window:
     low: tuple[int, int]
     high: tuple[int, int]
 
-    def holds(self, other: Window) -> bool:
+    def holds(self, other: "Window") -> bool:
         """Return whether another window lies within this one."""
         return all(a <= b and d <= c for a, b, c, d in zip(self.low, other.low, self.high, other.high, strict=True))
 
-    def meets(self, other: Window) -> bool:
+    def meets(self, other: "Window") -> bool:
         """Return whether the two have cells in common."""
         return all(a < d and b < c for a, b, c, d in zip(self.low, other.low, self.high, other.high, strict=True))
 
-    def wider(self, cells: int) -> Window:
+    def wider(self, cells: int) -> "Window":
         """Return the window that reaches so many cells further on each side."""
         (x0, y0), (x1, y1) = self.low, self.high
         return Window((x0 - cells, y0 - cells), (x1 + cells, y1 + cells))

@@ -4,8 +4,6 @@ A keyframe must cost by what it sees, not by the number of tracks: a grid finds 
 are sorted, and derived values ask only for changes.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass
@@ -31,7 +29,7 @@ _Box = tuple[int, int, int, int]
 class Mark:
     """A moment of a table, for asking what changed after it."""
 
-    table: TrackTable
+    table: "TrackTable"
     serial: int
 
 

@@ -4,8 +4,6 @@
 poses: another one can take them back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -28,7 +26,7 @@ class Past:
 
     votes: dict[int, Votes]
     absorbed: tuple[Track, ...]
-    joins: tuple[Join, ...]
+    joins: "tuple[Join, ...]"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -3,8 +3,6 @@
 One under-segmented frame must not merge two objects: points on another track are not fused, but count as a vote.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -72,12 +70,12 @@ class VoteBook:
         """Return the votes of a pair."""
         return self.rows.get(a, _NO_ROW).votes.get(b, _NO_VOTES)
 
-    def plus(self, pairs: Iterable[tuple[int, int]], *, together_ns: int = 0, apart_ns: int = 0) -> VoteBook:
+    def plus(self, pairs: Iterable[tuple[int, int]], *, together_ns: int = 0, apart_ns: int = 0) -> "VoteBook":
         """Return the book with these votes added to each pair."""
         added = {pair: Votes(together_ns, apart_ns) for pair in pairs}
         return self._changed([], added) if added else self
 
-    def merged(self, kept: int, gone: int) -> VoteBook:
+    def merged(self, kept: int, gone: int) -> "VoteBook":
         """Return the book after track `gone` was merged into `kept`, which takes over its votes."""
         row = self.rows.get(gone)
         if row is None:
@@ -94,7 +92,7 @@ class VoteBook:
         """Return the votes of a track with others, by their ids."""
         return self.rows.get(track_id, _NO_ROW).votes
 
-    def unmerged(self, host: int, rest: int, far: int, votes: Mapping[int, Votes]) -> VoteBook:
+    def unmerged(self, host: int, rest: int, far: int, votes: Mapping[int, Votes]) -> "VoteBook":
         """Return the book after `far`, with its `votes`, was taken out of a host, which is `rest` without it."""
         added = {(far, other): own for other, own in votes.items()}
         for other, vote in self.all_of(host).items():
@@ -104,11 +102,11 @@ class VoteBook:
                 added[rest, other] = left
         return self._changed([host] if host in self.rows else [], added)
 
-    def without(self, gone: int) -> VoteBook:
+    def without(self, gone: int) -> "VoteBook":
         """Return the book without a dropped track."""
         return self._changed([gone], {}) if gone in self.rows else self
 
-    def _changed(self, gone: Iterable[int], added: Mapping[tuple[int, int], Votes]) -> VoteBook:
+    def _changed(self, gone: Iterable[int], added: Mapping[tuple[int, int], Votes]) -> "VoteBook":
         rows = dict(self.rows)
         new: dict[int, dict[int, Votes]] = {}
         for track_id in gone:

@@ -6,8 +6,6 @@ samexporter for SAM, MobileSAM and SAM 2. Sources: Kirillov et al., Segment Anyt
 Segment Anything in Images and Videos, ICLR 2025.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,7 +59,7 @@ class _Place:
     columns: Taps
 
 
-def open_sam(entry: ModelEntry, encoder: Network, network: NetworkConfig, config: SamConfig) -> Sam:
+def open_sam(entry: ModelEntry, encoder: Network, network: NetworkConfig, config: SamConfig) -> "Sam":
     """Return the pair of an entry of the folder of models; raises as `Sam`."""
     decoder = Network(encoder.path.parent / entry.companion("decoder"), network)
     return Sam(encoder, decoder, config, warm_up=network.warm_up)

@@ -3,8 +3,6 @@
 Sums of bytes are integers: the sums of a group of fragments follow from its members, exactly and in any order.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +40,7 @@ class FragmentOdds:
     thing: NDArray[np.int64]
     num_pixels: NDArray[np.int64]
 
-    def of_groups(self, numbers: NDArray[np.int64], count: int) -> FragmentOdds:
+    def of_groups(self, numbers: NDArray[np.int64], count: int) -> "FragmentOdds":
         """Return the sums of `count` groups; `numbers` (n,) names the group of each fragment."""
         a, b, places = merged_keys(self.a, self.b, numbers, count)
         # Pairs of two members of a group are within the group.

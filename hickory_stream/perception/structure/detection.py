@@ -4,8 +4,6 @@ The floor is the lowest wide horizontal surface; a wall or a ceiling has all of 
 open door has surface behind it, like a cupboard's front: it is known by its height, and only visible sections count.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -240,7 +238,7 @@ class _Upright:
     direction: NDArray[np.float32]
     azimuths: NDArray[np.int64]
 
-    def among(self, mask: NDArray[np.bool_]) -> _Upright:
+    def among(self, mask: NDArray[np.bool_]) -> "_Upright":
         places = np.flatnonzero(mask)
         return _Upright(*(getattr(self, field.name).take(places, axis=0) for field in fields(self)))
 

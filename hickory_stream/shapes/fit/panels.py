@@ -5,8 +5,6 @@ volume. A group gets the least box, cylinder or fitted superquadric in the frame
 area A is about 2 V / A thick, and so are its panels; a bent one is cut further, until its panels are nearly flat.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,7 +127,7 @@ class _Part:
         return of_all or (self.is_bent and self.gain > _LEAST_OF_BENT * self.volume)
 
     @classmethod
-    def of(cls, items: NDArray[np.int64], corners: NDArray[np.float64], thickness: float) -> _Part:
+    def of(cls, items: NDArray[np.int64], corners: NDArray[np.float64], thickness: float) -> "_Part":
         points = corners[items]
         extents, axes = _box(points, thickness)
         volume = float(extents.prod())

@@ -9,8 +9,6 @@ The paper grows all three axes by one factor, which turns a thin plate into a hu
 grows separately, and edges may become rounder, like those of the Minkowski sum.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any, Literal, assert_never
@@ -139,7 +137,7 @@ def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: 
     return _Share.of(fitted, np.empty((0, 3)), np.empty((0, 3), np.int32), points, config).grown()
 
 
-def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
+def _growths(share: "_Share", inside: Inside) -> list[Superquadrics]:
     # In order of preference: with boxes for residuals if these take clearly less volume.
     grown = share.grown()
     whole = share.grown_over(inside, grown)
@@ -176,7 +174,7 @@ class _Share:
         faces: NDArray[np.int32],
         points_world: NDArray[np.float64],
         config: InflateConfig,
-    ) -> _Share:
+    ) -> "_Share":
         everything = np.concatenate([vertices_world, points_world])
         offset = everything.mean(axis=0)
         diagonal = portable.norm(np.ptp(everything, axis=0))
@@ -201,7 +199,7 @@ class _Share:
             config=config,
         )
 
-    def with_balls(self, centers_world: NDArray[np.float64], radii_m: NDArray[np.float64]) -> _Share:
+    def with_balls(self, centers_world: NDArray[np.float64], radii_m: NDArray[np.float64]) -> "_Share":
         centers = (centers_world - self.offset_m) / self.unit_m
         bodies = self.primitives
         gauges = np.stack(
@@ -222,7 +220,7 @@ class _Share:
             distances=np.concatenate([self.distances, np.zeros(len(centers))]),
         )
 
-    def with_residuals_boxed(self, grown: Superquadrics) -> _Share | None:
+    def with_residuals_boxed(self, grown: Superquadrics) -> "_Share | None":
         # None if no residual makes a primitive grow much; residuals lie clearly outside of all primitives.
         is_residual = self.distances > _TOLERANCE * _UNIT_CELLS
         have_residuals = np.unique(self.owners[is_residual])
@@ -275,7 +273,7 @@ class _Share:
                 axes[i] = in_units * self.unit_m
         return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.primitives.world_from_local)
 
-    def grown_from(self, before: _Share, grown: Superquadrics) -> Superquadrics:
+    def grown_from(self, before: "_Share", grown: Superquadrics) -> Superquadrics:
         # Reuses the result `grown` of a share `before` with fewer primitives.
         num_before = len(before.primitives)
         changed = self.owners != before.owners
@@ -284,7 +282,7 @@ class _Share:
         kept = np.setdiff1d(np.arange(num_before), which)
         return _replaced(self.grown(which), grown, kept)
 
-    def _of_items(self, are_in: NDArray[np.bool_]) -> _Share:
+    def _of_items(self, are_in: NDArray[np.bool_]) -> "_Share":
         return replace(self, items=self.items[are_in], owners=self.owners[are_in], distances=self.distances[are_in])
 
     def _grown_one(

@@ -4,8 +4,6 @@ Greedily, the group is split by the plane that saves the most volume, until no s
 follow the axes of the object or the principal axes of the group, whichever gives less volume.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +54,7 @@ class _Group:
     @classmethod
     def of(
         cls, items: NDArray[np.int64], corners: NDArray[np.float64], axes: NDArray[np.float64], margin: float
-    ) -> _Group:
+    ) -> "_Group":
         points = corners[items].reshape(-1, 3)
         frames = (axes, _principal_axes(points))
         triangles = np.stack([portable.matmul(points, frame).reshape(-1, 3, 3) for frame in frames])

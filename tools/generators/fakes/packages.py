@@ -2,8 +2,6 @@
 # The object is known in the camera's axes. Each fake returns it in the axes of its package, by that package's own
 # formulas as read from its sources, so that an adapter that turns one axis wrongly puts it elsewhere.
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Iterator
@@ -41,7 +39,7 @@ class Tensor:
     def __init__(self, values: NDArray[Any]) -> None:
         self._values = values
 
-    def detach(self) -> Tensor:
+    def detach(self) -> "Tensor":
         return self
 
     cpu = detach
@@ -66,7 +64,7 @@ class TSR:
         self.renderer = SimpleNamespace(set_chunk_size=lambda chunk_size: None)
 
     @classmethod
-    def from_pretrained(cls, pretrained_model_name_or_path: str, config_name: str, weight_name: str) -> TSR:
+    def from_pretrained(cls, pretrained_model_name_or_path: str, config_name: str, weight_name: str) -> "TSR":
         name = Path(pretrained_model_name_or_path).name
         assert (name, config_name, weight_name) == ("weights", "config.yaml", "model.ckpt")
         return cls()
@@ -94,7 +92,7 @@ class TrellisImageTo3DPipeline:
     """`trellis.pipelines.TrellisImageTo3DPipeline`."""
 
     @staticmethod
-    def from_pretrained(path: str) -> TrellisImageTo3DPipeline:
+    def from_pretrained(path: str) -> "TrellisImageTo3DPipeline":
         assert Path(path).name == "TRELLIS-image-large"
         return TrellisImageTo3DPipeline()
 
