@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from hickory_stream.base import caches
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.geometry.camera import backproject
@@ -106,7 +107,7 @@ def _with_walk(source: Path, walk: str) -> Iterator[Path]:
         for entry in source.iterdir():
             (Path(temporary) / entry.name).symlink_to(entry)
         (Path(temporary) / "world.json").unlink()
-        (Path(temporary) / "world.json").write_text(json.dumps(world), encoding="utf-8")
+        (Path(temporary) / "world.json").write_text(dumps_exactly(world), encoding="utf-8")
         yield Path(temporary)
 
 
