@@ -1,8 +1,8 @@
 """Logs of other robots, made from logs that exist: a depth camera of 1280x720 at 30 Hz; a walking B2 with a ZED."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import takewhile
+from itertools import cycle, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_of_vector
+from hickory_stream.records import RawFrame
 from players.opening import open_container, open_source
 from tools.damage.damaging import write_mcap
 from tools.robot.prepared import humble
@@ -38,7 +39,7 @@ def write_720p(source: Path, target: Path, *, seconds: float) -> Path:
 
 
 def write_b2(source: Path, folder: Path, *, seconds: float, width: int = 1280, seed: int = 0) -> Path:
-    """Write the beginning of a log as a B2's bag in the layout of NUS-CLB (sqlite3), at 15 Hz; return its folder."""
+    """Write a log, there and back, as a B2's bag in the layout of NUS-CLB (sqlite3), at 15 Hz; return its folder."""
     # The gait pitches the camera, which is a homography of the images; colour is blurred by the turn during exposure.
     frames = open_source(source)
     small, factor = frames.info.camera, width / frames.info.camera.width
@@ -52,7 +53,7 @@ def write_b2(source: Path, folder: Path, *, seconds: float, width: int = 1280, s
     end_ns, due_ns, before = start_ns + round(seconds * 1e9), start_ns, None
     with NusClbLog(folder, folder.name, camera, _QUALITY, end_ns, drawn_mounting(seed)) as log:
         log.write_static(start_ns)
-        for raw in takewhile(lambda raw: raw.stamp_ns < end_ns, frames.frames()):
+        for raw in takewhile(lambda raw: raw.stamp_ns < end_ns, _there_and_back(frames.frames())):
             pitch = rotation_of_vector(np.array([_gait_rad(raw.stamp_ns - start_ns), 0.0, 0.0]))
             pose = raw.world_from_camera @ from_rotation_translation(pitch.T, np.zeros(3))
             log.write_pose(raw.stamp_ns, pose, np.eye(4))
@@ -70,6 +71,13 @@ def write_b2(source: Path, folder: Path, *, seconds: float, width: int = 1280, s
                 log.write_images(raw.stamp_ns, _blurred(rgb, camera, before, (raw.stamp_ns, pose)), depth)
             before = raw.stamp_ns, pose
     return folder
+
+
+def _there_and_back(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+    way = list(frames)
+    step_ns = way[1].stamp_ns - way[0].stamp_ns
+    for i, raw in enumerate(cycle([*way, *way[::-1]])):
+        yield replace(raw, stamp_ns=way[0].stamp_ns + i * step_ns)
 
 
 def _gait_rad(since_ns: int) -> float:
