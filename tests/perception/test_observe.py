@@ -56,17 +56,6 @@ def test_the_factors_of_a_view_are_shares_of_image_and_mask():
     assert mask_area_of(CAMERA) == 320 * 240
 
 
-@pytest.mark.parametrize(("color", "drawn"), [((190, 40, 40), 1.0), ((118, 112, 100), 0.1)])
-def test_an_outline_is_drawn_by_returns_or_colour(color, drawn):
-    box = Block(low=BOX.low, high=BOX.high, color=color)
-    frame, shown = render([floor(), box], VIEW)
-    seen = observed(frame, shown == 1)[0][0]
-    alone = replace(frame, depth_m=np.where(shown == 1, frame.depth_m, np.float32(np.nan)))
-    lost = observed(alone, shown == 1)[0][0]
-    assert seen.drawn == 1.0
-    assert lost.drawn == pytest.approx(drawn, abs=0.1)
-
-
 def test_only_what_touches_the_border_is_cut():
     inside = render([floor(), BOX], VIEW)
     outside = render([floor(), BOX], looking((0.0, 1.35, 0.3), start=(-2.2, -0.3, 1.5)))
