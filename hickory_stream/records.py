@@ -166,13 +166,15 @@ class Segmentation:
 class Returns:
     """The returns behind the points of an observation, for depth in whole millimetres.
 
-    `depth_mm` (h, w) uint16 within the mask's box, 0 = not used; points are their means over voxels of `voxel_m`. While
-    `checksum` fits points and pose, the journal stores the returns instead of the points.
+    `depth_mm` (h, w) uint16 of every `step_px`-th pixel within the mask's box, 0 = not used; points are their means
+    over voxels of `voxel_m`. While `checksum` fits points and pose, the journal stores the returns instead of the
+    points.
     """
 
     depth_mm: NDArray[np.uint16]
     voxel_m: float
     checksum: int
+    step_px: int = 1
 
     def __post_init__(self) -> None:
         freeze(self, "depth_mm", np.uint16, (None, None))

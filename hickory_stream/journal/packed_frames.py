@@ -29,15 +29,16 @@ class PackedPoints:
     place: int
     voxel_m: float
     checksum: int
+    step_px: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PackedFrame:
     """An event whose observations in `packed` have neither points nor colours nor returns.
 
-    `is_used` (P,): pixels of the masks, one mask after another, that have returns. `depths` are of `packed_depths`,
-    `colors` (3, N) of `packed_colors`. Both are separate frames of zstd, since numbers of other kinds have other
-    frequencies.
+    `is_used` (P,): pixels of the masks, every `step_px`-th, one mask after another, that have returns. `depths` are of
+    `packed_depths`, `colors` (3, N) of `packed_colors`. Both are separate frames of zstd, since numbers of other kinds
+    have other frequencies.
     """
 
     event: FrameObserved
@@ -74,10 +75,12 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
         returns = one.returns
         if returns is None or returns.checksum != checksum_of(one.points_world, event.world_from_camera):
             continue
-        if returns.depth_mm.shape != one.mask.shape or returns.depth_mm[~one.mask].any():
+        step = returns.step_px
+        mask = one.mask[::step, ::step]
+        if returns.depth_mm.shape != mask.shape or returns.depth_mm[~mask].any():
             continue
-        packed.append(PackedPoints(place=place, voxel_m=returns.voxel_m, checksum=returns.checksum))
-        masks.append(one.mask)
+        packed.append(PackedPoints(place=place, voxel_m=returns.voxel_m, checksum=returns.checksum, step_px=step))
+        masks.append(mask)
         images.append(returns.depth_mm)
         colors.append(packed_colors(keys_of_points(one.points_world, returns.voxel_m), one.colors))
         observations[place] = replace(one, points_world=_NO_POINTS, colors=_NO_COLORS, returns=None)
@@ -103,7 +106,9 @@ def unpacked_frame(frame: PackedFrame) -> FrameObserved:
     if not _are_within([event.observations[place] for place in places], event.coarse.camera):
         raise ValueError("returns of masks that do not lie in the image, or in more than it has room for")
     observations = list(event.observations)
-    used = _used(frame, [event.observations[place].mask for place in places])
+    if any(part.step_px < 1 for part in frame.packed):
+        raise ValueError("returns of no pixel")
+    used = _used(frame, [event.observations[p.place].mask[:: p.step_px, :: p.step_px] for p in frame.packed])
     # A return takes a byte, or three; a point takes three bytes and comes of one return at least.
     most_bytes = 3 * sum(int(np.count_nonzero(marks)) for marks in used)
     images = unpacked_depths(_unpacked(frame.depths, most_bytes), used)
@@ -111,7 +116,7 @@ def unpacked_frame(frame: PackedFrame) -> FrameObserved:
     at = 0
     for part, image in zip(frame.packed, images, strict=True):
         one = observations[part.place]
-        returns = Returns(depth_mm=image, voxel_m=part.voxel_m, checksum=part.checksum)
+        returns = Returns(depth_mm=image, voxel_m=part.voxel_m, checksum=part.checksum, step_px=part.step_px)
         points = _points(returns, one, event.coarse.camera, event.world_from_camera)
         own = colors_left[:, at : at + len(points)]
         at += len(points)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.depth_sensor import information, sigma_at
+from hickory_stream.geometry.camera import Camera, whole_reduction
+from hickory_stream.geometry.depth_sensor import Law, information, sigma_at
 from hickory_stream.geometry.flush import Plane, flush_heights, plane_beside
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
@@ -89,14 +89,14 @@ class _Lifted:
 def _lift(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], voxel_m: float) -> _Lifted | str:
     # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
-    camera = frame.camera.cropped(x0, y0, x1, y1)
-    depth = frame.depth_m[y0:y1, x0:x1]
+    camera, sensor, step = frame.camera, frame.sensor, whole_reduction(frame.camera.width)
+    few = slice(y0, y1, step), slice(x0, x1, step)
+    depth, rgb = frame.depth_m[few], frame.rgb[few]
+    mask = np.ascontiguousarray(mask[::step, ::step])
+    inner = _agreeing(depth, mask, sensor.law, sensor.edge_px(camera.fx / step))
+    inner = _with_support(depth, inner, sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS)
     points, colors, depth_mm, is_whole, num_reliable = _returns(
-        depth,
-        frame.rgb[y0:y1, x0:x1],
-        mask,
-        _with_support(depth, _agreeing(depth, mask, frame), frame.sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS),
-        *rays_of(camera),
+        depth, rgb, mask, inner, *rays_of(camera.cropped(*box_px), step)
     )
     if len(points) == 0:
         return "no reliable depth in the mask"
@@ -107,7 +107,7 @@ def _lift(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool
         return f"{len(points)} points, fewer than {_MIN_POINTS}"
     inliers = points[without_outliers(points)]
     checksum = checksum_of(points, frame.world_from_camera)
-    returns = Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum) if is_whole else None
+    returns = Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum, step_px=step) if is_whole else None
     share = float(num_reliable / np.count_nonzero(mask))
     return _Lifted(points=points, colors=colors, inliers=inliers, valid_share=share, returns=returns)
 
@@ -139,10 +139,10 @@ def _behind(
     return None if flush_heights(points, weights, 1 / weights, behind, width) is None else behind
 
 
-def rays_of(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the normalised image coordinates of the columns (w,) and rows (h,), at a depth of 1."""
-    u = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
-    return u, ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
+def rays_of(camera: Camera, step_px: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the normalised image coordinates of every `step_px`-th column (w,) and row (h,), at a depth of 1."""
+    u = ((np.arange(0, camera.width, step_px) - camera.cx) / camera.fx).astype(np.float32)
+    return u, ((np.arange(0, camera.height, step_px) - camera.cy) / camera.fy).astype(np.float32)
 
 
 def _means_in_world(
@@ -160,7 +160,7 @@ def points_of_returns(
     returns: Returns, box_px: tuple[int, int, int, int], camera: Camera, world_from_camera: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return the points (N, 3) of an observation from its returns in the frame's camera and pose."""
-    (u, v), (y, x) = rays_of(camera.cropped(*box_px)), np.nonzero(returns.depth_mm)
+    (u, v), (y, x) = rays_of(camera.cropped(*box_px), returns.step_px), np.nonzero(returns.depth_mm)
     z = returns.depth_mm[y, x].astype(np.float32) * MILLIMETRE
     points = np.stack([z * u[x], z * v[y], z], axis=1)
     return _means_in_world(points, np.zeros(points.shape, np.uint8), world_from_camera, returns.voxel_m)[0]
@@ -242,11 +242,9 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
     return kept[erode_px : erode_px + mask.shape[0], erode_px : erode_px + mask.shape[1]]
 
 
-def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame) -> NDArray[np.bool_]:
+def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], law: Law, edge_px: int) -> NDArray[np.bool_]:
     # Without rim pixels that belong to another surface or mix two surfaces (flying pixels).
-    edge_px = frame.sensor.edge_px(frame.camera.fx)
     inner = _eroded(mask, edge_px)
-    law = frame.sensor.law
     for _ in range(edge_px):
         inner = _with_agreeing(depth, mask, inner, law, _AGREE_SIGMAS)
     return inner

@@ -18,17 +18,18 @@ from hickory_stream.records import Frame, Segmentation, SpaceObservation
 NO_KEYS = np.empty(0, np.int64)
 
 
-def seen(*, depth_unit_m=0.001):
+def seen(*, depth_unit_m=0.001, times=1):
     """Return what is observed of two slanted plates in front of a wall, with noise and holes, from an oblique pose."""
     rng = np.random.default_rng(1)
-    height, width = SCENE_CAMERA.height, SCENE_CAMERA.width
+    camera = SCENE_CAMERA.scaled(times)
+    height, width = camera.height, camera.width
     rows, columns = np.mgrid[:height, :width]
     depth = 2.5 + 0.1 * np.sin(columns / 40) + rng.normal(0, 0.003, (height, width))
     instances = np.zeros((height, width), np.int32)
     for label, (top, left, far) in enumerate([(10, 12, 1.2), (40, 60, 1.6)], start=1):
-        place = np.s_[top : top + 50, left : left + 60]
+        place = np.s_[top * times : (top + 50) * times, left * times : (left + 60) * times]
         instances[place] = label
-        depth[place] = far + 0.002 * (rows[place] - top) + rng.normal(0, 0.002, (50, 60))
+        depth[place] = far + 0.002 * (rows[place] / times - top) + rng.normal(0, 0.002, depth[place].shape)
     depth_m = depth.astype(np.float32)
     if depth_unit_m is not None:
         depth_m = np.rint(depth / depth_unit_m).astype(np.float32) * np.float32(depth_unit_m)
@@ -38,7 +39,7 @@ def seen(*, depth_unit_m=0.001):
     pose[:3, 3] = (3.0, -2.0, 1.1)
     frame = Frame(
         index=4, stamp_ns=9, rgb=rng.integers(0, 256, (height, width, 3), dtype=np.uint8), depth_m=depth_m,
-        camera=SCENE_CAMERA, world_from_camera=pose,
+        camera=camera, world_from_camera=pose,
     )  # fmt: skip
     structure = instances == 0
     segmentation = Segmentation(instances=instances, structure=structure, floor_z_m=None, rejected=())
@@ -47,7 +48,7 @@ def seen(*, depth_unit_m=0.001):
     return FrameObserved(
         frame_index=4, stamp_ns=9, world_from_camera=pose, observations=observations,
         space=SpaceObservation(free_keys=NO_KEYS, structure_keys=NO_KEYS, floor_z_m=None),
-        coarse=coarse_frame(depth_m, structure, SCENE_CAMERA),
+        coarse=coarse_frame(depth_m, structure, camera),
     )  # fmt: skip
 
 
@@ -57,15 +58,17 @@ def packed(event):
     return stored
 
 
-def test_an_event_comes_back_to_the_byte_and_takes_less(tmp_path):
-    event = seen()
+@pytest.mark.parametrize(("times", "step_px"), [(1, 1), (4, 2)])
+def test_an_event_comes_back_to_the_byte_and_takes_less(tmp_path, times, step_px):
+    event = seen(times=times)
+    assert {one.returns.step_px for one in event.observations} == {step_px}
     stored = encode(packed(event))
     assert encode(unpacked_frame(decode(stored))) == encode(event)
     _written(tmp_path, event)
     with Journal(tmp_path) as journal:
         assert encode(journal.entry(0).events) == encode((event,))
         assert encode(journal.events(0, "FrameObserved")[0]) == encode(event)
-    assert len(stored) < 0.5 * len(encode(replace(event, observations=without_returns(event))))
+    assert len(stored) < 0.6 * len(encode(replace(event, observations=without_returns(event))))
 
 
 def without_returns(event):
@@ -129,6 +132,7 @@ def test_parts_that_do_not_belong_together_are_refused():
         (replace(stored, packed=(first, first, second)), "observations .* of 2"),
         (replace(stored, event=_in_image_of(stored.event, 8)), "do not lie in the image"),
         (replace(stored, packed=(replace(first, voxel_m=0.0), second)), "voxels of 0"),
+        (replace(stored, packed=(replace(first, step_px=0), second)), "returns of no pixel"),
         (replace(stored, packed=(replace(first, voxel_m=0.02), second)), "other points"),
         (replace(stored, event=replace(stored.event, coarse=None)), "without a camera"),
     ]:

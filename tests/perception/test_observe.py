@@ -44,6 +44,19 @@ def test_lifted_points_lie_on_the_true_surface():
     assert (observations[0].colors == BOX.color).all()
 
 
+def test_of_a_wide_image_every_second_pixel_is_lifted():
+    frame, shown = render([floor(), BOX], VIEW)
+    found = []
+    for times in (2, 4):  # 640 and 1280 columns
+        rgb, depth, mask = (i.repeat(times, 0).repeat(times, 1) for i in (frame.rgb, frame.depth_m, shown == 1))
+        camera = Camera(**{name: times * getattr(CAMERA, name) for name in CAMERA.__slots__})
+        found += observed(replace(frame, rgb=rgb, depth_m=depth, camera=camera), mask)[0]
+    narrow, wide = found
+    assert wide.mask.sum() == 4 * narrow.mask.sum()
+    np.testing.assert_array_equal(wide.points_world, narrow.points_world)
+    np.testing.assert_array_equal(wide.colors, narrow.colors)
+
+
 def test_the_factors_of_a_view_are_shares_of_image_and_mask():
     frame, shown = render([floor(), BOX], VIEW)
     depth = frame.depth_m.copy()
