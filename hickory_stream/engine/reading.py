@@ -77,8 +77,8 @@ class Reader:
     """Reads a source on a thread into a channel, until the source or the run ends.
 
     A playback queues few frames, fewer of them decoded, and waits. A live run queues the newest second, compressed.
-    Networks have threads of their own: masks and features of several decoded frames are computed side by side, and may
-    share runs. A playback at a rate does the same, so that its map is the same.
+    Masks and features have threads of their own: those of several decoded frames are computed side by side, and may
+    share runs of a network. A playback at a rate does the same, so that its map is the same.
     """
 
     def __init__(
@@ -98,9 +98,7 @@ class Reader:
         self._thread = ThreadPoolExecutor(1, "read")
         # Not the thread that reads: a source may wait for its next frame.
         self._ahead_thread = ThreadPoolExecutor(1, "ahead")
-        has_masks, has_features = config.perception.has_mask_network, config.perception.has_feature_network
-        self._masks_thread = _threads(num_masks, "masks") if has_masks else self._ahead_thread
-        self._features_thread = _threads(num_features, "features") if has_features else self._ahead_thread
+        self._masks_thread, self._features_thread = _threads(num_masks, "masks"), _threads(num_features, "features")
         self._has_worked = False
         self.decode_s = 0.0
         #: Losses since the last queued frame (playback).
@@ -157,6 +155,22 @@ class Reader:
         logger.warning("frame %d is left out: %s", index, found)
         return None
 
+    async def ahead(self, frame: Frame) -> Prefetched | ModelError:
+        """Return what a keyframe needs that does not depend on the map, or why a network failed."""
+        config = self._config
+        surface_of = keyframe_surface if config.registration.enabled else lambda _: None
+        try:
+            # Those of one thread run in this order.
+            surface, prepared, patches, free_keys = await asyncio.gather(
+                on_thread(self._ahead_thread, surface_of, frame),
+                on_thread(self._masks_thread, self._segmenter.prepare, frame),
+                on_thread(self._features_thread, self._extractor.extract, np.asarray(frame.rgb)),
+                on_thread(self._ahead_thread, free_space, frame, config.perception.space, config.mapping.voxels),
+            )
+        except ModelError as error:
+            return error
+        return Prefetched(prepared=prepared, patches=patches, surface=surface, free_keys=free_keys)
+
     async def end(self) -> None:
         """Accept no more frames."""
         await self._channel.close()
@@ -193,7 +207,7 @@ class Reader:
                         self._room.release()
                 if frame is not None:
                     keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                    pending = group.create_task(self._ahead(frame), name=f"ahead-{index}")
+                    pending = group.create_task(self.ahead(frame), name=f"ahead-{index}")
                 queued = QueuedFrame(
                     raw=replace(raw, index=index, decode=_released),
                     round_index=round_index,
@@ -247,21 +261,6 @@ class Reader:
         """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.max_late_s * 1e9
 
-    async def _ahead(self, frame: Frame) -> Prefetched | ModelError:
-        config = self._config
-        surface_of = keyframe_surface if config.registration.enabled else _no_surface
-        try:
-            # Those of one thread run in this order.
-            surface, prepared, patches, free_keys = await asyncio.gather(
-                on_thread(self._ahead_thread, surface_of, frame),
-                on_thread(self._masks_thread, self._segmenter.prepare, frame),
-                on_thread(self._features_thread, self._extractor.extract, np.asarray(frame.rgb)),
-                on_thread(self._ahead_thread, free_space, frame, config.perception.space, config.mapping.voxels),
-            )
-        except ModelError as error:
-            return error
-        return Prefetched(prepared=prepared, patches=patches, surface=surface, free_keys=free_keys)
-
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
         started = time.perf_counter()
         try:
@@ -279,10 +278,6 @@ def _released() -> Frame:
 
 def _threads(num_sharing: int, name: str) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1 if num_sharing == 1 else 2 * num_sharing, name)
-
-
-def _no_surface(_: Frame) -> SurfaceImage | None:
-    return None
 
 
 def sensed(frame: Frame, index: int, config: SensorConfig) -> Frame:

@@ -51,7 +51,7 @@ from hickory_stream.engine.shape_jobs.generators.choose import generator_key
 from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.step_writer import Recorder, StepWriter
-from hickory_stream.errors import ModelError, RecordingError
+from hickory_stream.errors import RecordingError
 from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
 from hickory_stream.journal.step import FramePose, StepKind
 from hickory_stream.journal.writer import JournalWriter
@@ -276,16 +276,14 @@ class Run:
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
                 return FrameOutcome.UNDECODABLE
             frame = sensed(decoded, read.raw.index, self._parts.config.sensor)
+            found = self._reader.accepted(await self._reader.ahead(frame), read.raw.index)
+            if found is None:
+                return FrameOutcome.FAILED
+            ahead = found
         placed = await self._registrar.place(frame, ahead.surface)
         if placed is None:
             return FrameOutcome.KEPT_OUT
-        if read.frame is None:
-            found = await on_thread(self._mapping_thread, _prepared, self._parts.segmenter, placed)
-            accepted = self._reader.accepted(found, read.raw.index)
-            if accepted is None:
-                return FrameOutcome.FAILED
-            ahead = accepted
-        elif placed is not frame:
+        if placed is not frame:
             prepared = prepared_at(self._parts.segmenter, ahead.prepared, placed.world_from_camera)
             ahead = replace(ahead, prepared=prepared, free_keys=None)
         await self._keyframe(read, placed, ahead)
@@ -391,13 +389,6 @@ class Run:
         elif self._compiling is None or self._compiling.done():
             self._kernels = (0, 0)
         self._publisher.progress(phase, self._clock, self._shapes, kernels=self._kernels)
-
-
-def _prepared(segmenter: Segmenter, frame: Frame) -> Prefetched | ModelError:
-    try:
-        return Prefetched(prepared=segmenter.prepare(frame))
-    except ModelError as error:
-        return error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -57,14 +57,9 @@ class PerceptionConfig:
     space: SpaceConfig = field(default_factory=SpaceConfig)
 
     @property
-    def has_mask_network(self) -> bool:
-        """Whether an installed network gives masks or classes."""
-        return self.segmenter in ("fastsam", "sam") or self.semantics != "none"
-
-    @property
-    def has_feature_network(self) -> bool:
-        """Whether an installed network gives features."""
-        return self.extractor != "color_texture"
+    def has_network(self) -> bool:
+        """Whether an installed network gives masks, classes or features."""
+        return self.segmenter in ("fastsam", "sam") or self.semantics != "none" or self.extractor != "color_texture"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

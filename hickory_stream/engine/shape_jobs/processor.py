@@ -40,5 +40,4 @@ def processor_of_run(perception: PerceptionConfig, *, is_own: bool, has_lossy_vi
     """
     if has_lossy_views:
         return f"{processor_kind()}, codecs of OpenCV {cv2.__version__}"
-    has_network = perception.has_mask_network or perception.has_feature_network
-    return processor_kind() if has_network or not is_own else processor_of_shapes()
+    return processor_kind() if perception.has_network or not is_own else processor_of_shapes()
