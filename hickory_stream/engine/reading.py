@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, Sto
 from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.engine.modes import Mode
 from hickory_stream.errors import ModelError, RecordingError
-from hickory_stream.geometry.depth_sensor import SensorConfig
+from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
@@ -282,9 +283,19 @@ def _threads(num_sharing: int, name: str) -> ThreadPoolExecutor:
 
 def sensed(frame: Frame, index: int, config: SensorConfig) -> Frame:
     """Return a decoded frame under its number in the run, with depth by the configured sensor."""
-    sensor = config.over(frame.sensor)
+    sensor = _sensor_of(config, frame.sensor)
     if sensor == frame.sensor:
         return replace(frame, index=index)
     # The source took its own bias off.
     beyond = replace(sensor, bias_m=sensor.bias_m - frame.sensor.bias_m)
     return replace(frame, index=index, sensor=sensor, depth_m=beyond.returns(frame.depth_m))
+
+
+@cache
+def _sensor_of(config: SensorConfig, given: DepthSensor) -> DepthSensor:
+    # Cached, so that it warns once.
+    sensor = config.over(given)
+    if sensor.min_m < given.min_m or sensor.max_m > given.max_m:
+        text = "mapper.sensor asks for %g to %g m, but the log's profile keeps depth of %g to %g m: change it there"
+        logger.warning(text, sensor.min_m, sensor.max_m, given.min_m, given.max_m)
+    return sensor

@@ -31,7 +31,7 @@ FRAME = RAW.decode()
 SEGMENTER = GeometricSegmenter(GeometricConfig())
 
 
-def test_a_configured_sensor_replaces_the_one_of_the_source():
+def test_a_configured_sensor_replaces_the_one_of_the_source(caplog):
     frame = sensed(FRAME, 7, SensorConfig())
     assert (frame.index, frame.sensor) == (7, FRAME.sensor)
     assert frame.depth_m is FRAME.depth_m
@@ -41,6 +41,11 @@ def test_a_configured_sensor_replaces_the_one_of_the_source():
     left = FRAME.depth_m - np.float32(0.02)
     np.testing.assert_allclose(frame.depth_m, np.where(left <= 2.5, left, np.nan), atol=1e-6)
     assert 0 < np.isfinite(frame.depth_m).mean() < np.isfinite(FRAME.depth_m).mean()
+    assert not caplog.records
+    for index in range(2):
+        sensed(replace(FRAME, sensor=frame.sensor), index, SensorConfig(max_m=9.0))
+    (warning,) = caplog.messages  # once
+    assert "asks for 0.2 to 9 m, but the log's profile keeps depth of 0.2 to 2.5 m" in warning
 
 
 def test_a_playback_keyframe_comes_with_all_that_needs_no_map():
