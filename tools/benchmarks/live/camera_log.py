@@ -25,15 +25,17 @@ _QUALITY = 92
 _B2_RATE_HZ, _STEPS_HZ, _PITCH_DEG, _EXPOSURE_S = 15, 2.0, 1.5, 0.01
 
 
-def write_720p(source: Path, target: Path, *, seconds: float) -> Path:
-    """Write the beginning of a log of 640x360 at four times its pixels and at 30 Hz; images are repeated."""
+def write_720p(source: Path, target: Path, *, seconds: float, repeats: bool = True) -> Path:
+    """Write the beginning of a log of 640x360 at four times its pixels; `repeats`: images are repeated, at 30 Hz."""
     store, log = humble(), open_container(source)
     types = {topic.name: topic.type_name for topic in log.topics}
     messages = [(m.topic, m.log_ns, bytes(m.data)) for m in log.messages(list(types))]
     first_ns = min(at_ns for name, at_ns, _ in messages if name == _COLOR)
-    made = list(_at_30_hz(messages, store, first_ns, round(seconds * _RATE_HZ)))
+    messages = [message for message in messages if message[1] - first_ns < seconds * 1e9]
+    due_ns = [first_ns + i * 1_000_000_000 // _RATE_HZ for i in range(round(seconds * _RATE_HZ))] if repeats else None
+    made = list(_images(messages, store, due_ns))
     for name, at_ns, data in messages:
-        if name not in (_COLOR, _DEPTH) and at_ns - first_ns < seconds * 1e9:
+        if name not in (_COLOR, _DEPTH):
             made.append((name, at_ns, _scaled(store.deserialize_cdr(data, types[name]))))
     return write_mcap(target, sorted(made, key=lambda entry: entry[1]), "none", 4 << 20)
 
@@ -98,18 +100,18 @@ def _blurred(rgb: Any, camera: Any, before: tuple[int, Any] | None, now: tuple[i
     return cv2.filter2D(rgb, -1, kernel / kernel.sum())
 
 
-def _at_30_hz(
-    messages: list[tuple[str, int, bytes]], store: Any, first_ns: int, number: int
+def _images(
+    messages: list[tuple[str, int, bytes]], store: Any, due_ns: list[int] | None
 ) -> Iterator[tuple[str, int, Any]]:
     for topic, enlarge, new_topic in ((_COLOR, _color, _COLOR), (_DEPTH, _depth, _RAW_DEPTH)):
         images = [(at_ns, data) for name, at_ns, data in messages if name == topic]
-        for i in range(number):
-            stamp_ns = first_ns + i * 1_000_000_000 // _RATE_HZ
-            _, data = max((image for image in images if image[0] <= stamp_ns), default=images[0])
+        for at_ns in due_ns or [at_ns for at_ns, _ in images]:
+            _, data = max((image for image in images if image[0] <= at_ns), default=images[0])
             message = store.deserialize_cdr(data, "sensor_msgs/msg/CompressedImage")
-            stamp = message.header.stamp
-            stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-            yield new_topic, stamp_ns, enlarge(message, store)
+            if due_ns is not None:
+                stamp = message.header.stamp
+                stamp.sec, stamp.nanosec = divmod(at_ns, 1_000_000_000)
+            yield new_topic, at_ns, enlarge(message, store)
 
 
 def _color(message: Any, store: Any) -> Any:
