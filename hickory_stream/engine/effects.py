@@ -20,7 +20,6 @@ from hickory_stream.events import (
     DropView,
     Effect,
     Event,
-    FeaturesReady,
     KeepView,
     Publish,
     RequestShape,
@@ -32,7 +31,7 @@ from hickory_stream.map_folder.views import write_crop
 from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.perceive import features_of
-from hickory_stream.ports import Crop, FeatureExtractor
+from hickory_stream.ports import Crop
 from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
 
 # Quality of the kept images where the log has none.
@@ -76,8 +75,8 @@ class CurrentKeyframe:
 
     frame: Frame
     observations: Sequence[Observation]
-    #: (h, w, D) features of its colours, None if not computed yet.
-    patches: NDArray[np.float32] | None = None
+    #: (h, w, D) features of its colours.
+    patches: NDArray[np.float32] | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -85,8 +84,6 @@ class Handled:
     """The result of an event."""
 
     published: Publish | None
-    #: (h, w, D), None if no effect needed features.
-    patches: NDArray[np.float32] | None
     #: To carry out after the map is published: shape jobs and clean-up.
     effects: tuple[Effect, ...]
 
@@ -100,7 +97,8 @@ class EffectTargets:
     steps: StepWriter
     shapes: ShapeQueue
     loops: LoopCloser
-    extractor: FeatureExtractor
+    #: The side of a patch of features.
+    patch_px: int
     publish: Callable[[MapSnapshot], None]
 
 
@@ -124,7 +122,6 @@ class EffectRunner:
     async def decide(self, event: Event, current: CurrentKeyframe | None = None) -> Handled:
         """Send an event to the core, and publish the map; the remaining effects are for `carry_out`."""
         published: Publish | None = None
-        patches: NDArray[np.float32] | None = None
         left: list[Effect] = []
         asked: Event | None = event
         while asked is not None:
@@ -135,7 +132,9 @@ class EffectRunner:
             await self._keep_views([effect for effect in effects if isinstance(effect, KeepView)], current)
             for effect in effects:
                 if isinstance(effect, ComputeFeatures):
-                    asked, patches = await self._features(effect, current)
+                    assert current is not None and current.patches is not None, "features are of the current frame"
+                    needed = (effect, current.observations, current.patches, self._to.patch_px)
+                    asked = await on_thread(self._mapping_thread, features_of, *needed)
                 elif isinstance(effect, Publish):
                     published = effect
                 else:
@@ -143,7 +142,7 @@ class EffectRunner:
         if published is not None:
             self._to.publish(published.snapshot)
             self._to.steps.add_published(published)
-        return Handled(published=published, patches=patches, effects=tuple(left))
+        return Handled(published=published, effects=tuple(left))
 
     async def carry_out(self, effects: Sequence[Effect]) -> None:
         """Carry out the remaining effects of an event, in order."""
@@ -163,14 +162,6 @@ class EffectRunner:
                     self._to.steps.end_job(effect.ticket)
                 case _:
                     assert_never(effect)
-
-    async def _features(
-        self, effect: ComputeFeatures, current: CurrentKeyframe | None
-    ) -> tuple[FeaturesReady, NDArray[np.float32]]:
-        assert current is not None, "features are requested for the current frame"
-        asked = (current.frame, current.observations, effect.observation_indices, self._to.extractor, current.patches)
-        features, patches = await on_thread(self._mapping_thread, features_of, *asked)
-        return FeaturesReady(frame_index=effect.frame_index, features=features), patches
 
     async def _keep_views(self, keeps: Sequence[KeepView], current: CurrentKeyframe | None) -> None:
         if not keeps:

@@ -95,7 +95,7 @@ class Run:
             steps=self._steps,
             shapes=self._shapes,
             loops=self._loops,
-            extractor=parts.extractor,
+            patch_px=parts.extractor.patch_px,
             publish=self._publisher.publish,
         )
         self._far = FarArrays(folder.path)
@@ -316,7 +316,7 @@ class Run:
                     perceived,
                     decided.published,
                     keyframe_index=self._clock.num_keyframes - 1,
-                    patches=decided.patches,
+                    patches=ahead.patches,
                     metrics=metrics,
                 )
             )

@@ -17,7 +17,7 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SCENE_BOXES, SceneBox, SceneSource, shape_inputs
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.keyframe_places import RegistrationFilter
-from hickory_stream.events import ComputeFeatures, Effect, FeaturesReady
+from hickory_stream.events import ComputeFeatures, Effect
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.journal.checkpoints import Packer
 from hickory_stream.journal.packed_frames import PackedFrame, packed_frame, unpacked_frame
@@ -82,8 +82,8 @@ def rehearse(
         while waiting:
             effect = waiting.pop(0)
             if isinstance(effect, ComputeFeatures):
-                features, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
-                waiting += core.handle(FeaturesReady(frame_index=effect.frame_index, features=features))
+                patches = extractor.extract(np.asarray(frame.rgb))
+                waiting += core.handle(features_of(effect, perceived.observations, patches, extractor.patch_px))
         stored = decode(encode(packed_frame(event)))
         if isinstance(stored, PackedFrame):
             unpacked_frame(stored)

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.events import FrameObserved
+from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
@@ -20,11 +20,10 @@ from hickory_stream.perception.models.semantic_graph import SemanticConfig
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.observe import observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
-from hickory_stream.ports import FeatureExtractor, Segmenter
+from hickory_stream.ports import Segmenter
 from hickory_stream.records import (
     Frame,
     MapPrior,
-    MaskFeature,
     Observation,
     RejectedMask,
     Segmentation,
@@ -111,16 +110,8 @@ def perceive(
 
 
 def features_of(
-    frame: Frame,
-    observations: Sequence[Observation],
-    indices: Sequence[int],
-    extractor: FeatureExtractor,
-    patches: NDArray[np.float32] | None = None,
-) -> tuple[tuple[MaskFeature, ...], NDArray[np.float32]]:
-    """Return the pooled features of the observations at `indices`, and the (h, w, D) patches they were pooled from.
-
-    `patches`: features of this frame, if they were extracted before.
-    """
-    if patches is None:
-        patches = extractor.extract(np.asarray(frame.rgb))
-    return tuple(mask_feature(observations[i], patches, extractor.patch_px) for i in indices), patches
+    effect: ComputeFeatures, observations: Sequence[Observation], patches: NDArray[np.float32], patch_px: int
+) -> FeaturesReady:
+    """Return the features that the core requests of a keyframe, pooled from its (h, w, D) patches."""
+    features = tuple(mask_feature(observations[i], patches, patch_px) for i in effect.observation_indices)
+    return FeaturesReady(frame_index=effect.frame_index, features=features)

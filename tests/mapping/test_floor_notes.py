@@ -142,10 +142,7 @@ def played(boxes, poses, told=None, *, is_upside_down=False):
         seen = perceive(frame, core.prior(), None, segmenter, config, lattice=mapping.voxels)
 
         def features(effect, frame=frame, seen=seen):
-            from hickory_stream.events import FeaturesReady
-
-            pooled, _ = features_of(frame, seen.observations, effect.observation_indices, extractor)
-            return FeaturesReady(frame_index=effect.frame_index, features=pooled)
+            return features_of(effect, seen.observations, extractor.extract(frame.rgb), extractor.patch_px)
 
         published = answered(core, seen.event(frame), frame.stamp_ns, features)
         decisions += published.decisions

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import FeaturesReady, SourceEnded
+from hickory_stream.events import SourceEnded
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.mapping.core import MapperCore
@@ -64,8 +64,7 @@ def maps_of(frames):
         seen = perceive(frame, core.prior(), None, SEGMENTER, CONFIG.perception, lattice=CONFIG.mapping.voxels)
 
         def features(effect, frame=frame, seen=seen):
-            found, _ = features_of(frame, seen.observations, effect.observation_indices, EXTRACTOR)
-            return FeaturesReady(frame_index=effect.frame_index, features=found)
+            return features_of(effect, seen.observations, EXTRACTOR.extract(frame.rgb), EXTRACTOR.patch_px)
 
         maps.append(answered(core, seen.event(frame), frame.stamp_ns, features).snapshot)
     return [*maps, answered(core, SourceEnded(stamp_ns=frame.stamp_ns), frame.stamp_ns, None).snapshot]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.events import ComputeFeatures
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import features_of
 from tools.benchmarks.common.cached_runs import walk_recording
@@ -94,7 +95,9 @@ def _features(seen: PlayedKeyframe, shown: NDArray[np.int32]) -> list[tuple[int,
         most = int(np.argmax(counts))
         if ids[most] > 0 and counts[most] > _OWN_SHARE * counts.sum():
             owners[observation.index] = int(ids[most])
-    pooled, _ = features_of(seen.frame, observations, list(owners), ColorTextureDescriptor())
+    asked = ComputeFeatures(frame_index=seen.frame.index, observation_indices=tuple(owners))
+    patches = ColorTextureDescriptor().extract(np.asarray(seen.frame.rgb))
+    pooled = features_of(asked, observations, patches, ColorTextureDescriptor.patch_px).features
     return [(owners[feature.observation_index], feature.pooled) for feature in pooled]
 
 

@@ -59,8 +59,8 @@ def play_first_layer(
         event = perceived.event(frame)
 
         def features(effect: ComputeFeatures, frame: Frame = frame, perceived: Perceived = perceived) -> FeaturesReady:
-            pooled, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
-            return FeaturesReady(frame_index=effect.frame_index, features=pooled)
+            patches = extractor.extract(frame.rgb)
+            return features_of(effect, perceived.observations, patches, extractor.patch_px)
 
         published = answered(core, event, frame.stamp_ns, features)
         yield PlayedKeyframe(
