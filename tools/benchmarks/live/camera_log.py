@@ -100,9 +100,7 @@ def _blurred(rgb: Any, camera: Any, before: tuple[int, Any] | None, now: tuple[i
     return cv2.filter2D(rgb, -1, kernel / kernel.sum())
 
 
-def _images(
-    messages: list[tuple[str, int, bytes]], store: Any, due_ns: list[int] | None
-) -> Iterator[tuple[str, int, Any]]:
+def _images(messages: list[Any], store: Any, due_ns: list[int] | None) -> Iterator[tuple[str, int, Any]]:
     for topic, enlarge, new_topic in ((_COLOR, _color, _COLOR), (_DEPTH, _depth, _RAW_DEPTH)):
         images = [(at_ns, data) for name, at_ns, data in messages if name == topic]
         for at_ns in due_ns or [at_ns for at_ns, _ in images]:
