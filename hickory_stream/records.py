@@ -188,7 +188,8 @@ class Observation:
     `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area`, `r_depth`: cheap factors
     of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the image's border. `group`: equal numbers > 0
     are one instance without the map. `returns`: if they give the points to the byte. `behind`: the plane (unit normal
-    to the camera, offset) in the world that it is flush with, None: no such plane was seen beside it.
+    to the camera, offset) in the world that it is flush with, None: no such plane was seen beside it. `drawn`: the
+    share of the mask's outline that has returns or a step in colour beside it.
     """
 
     index: int
@@ -203,6 +204,7 @@ class Observation:
     group: int = 0
     returns: Returns | None = None
     behind: tuple[float, float, float, float] | None = None
+    drawn: float = 1.0
 
     def __post_init__(self) -> None:
         x0, y0, x1, y1 = self.box_px

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hickory_stream.base.type_forms import Form, form_of
 
 # Fields of records that earlier versions wrote, and which nothing reads.
-_FORMER = {"Track": {"doubts"}, "Observation": {"drawn"}}
+_FORMER = {"Track": {"doubts"}}
 
 
 def checked_record(kind: type, values: Mapping[str, Any], checks: Mapping[str, Callable[[Any], bool]]) -> Any:

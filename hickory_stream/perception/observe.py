@@ -17,7 +17,9 @@ from hickory_stream.geometry.flush import Plane, flush_heights, plane_beside
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
+from hickory_stream.perception.fragments.color_split import COLOR_STEP, LAB_WEIGHTS
 from hickory_stream.perception.masks import label_boxes
+from hickory_stream.perception.surface import lab_of
 from hickory_stream.records import Frame, Observation, RejectedMask, Returns, Segmentation
 
 # Players convert the cameras' millimetres to metres by this factor.
@@ -30,6 +32,8 @@ _MIN_NEIGHBORS = 5
 # A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
 _MIN_RETURNS = 24
 _MIN_POINTS = 12
+# The rim of a mask lies this far outside. A mask as wide as this is looked at at half resolution.
+_RIM_PX, _WIDE_PX = 3, 48
 # About so many pixels around a mask and in it are looked at for the surface that it is flush with.
 _BESIDE_PX = 600
 
@@ -60,6 +64,7 @@ def observe(
                 group=0 if alone is None else _group(alone, box_px, mask),
                 returns=lifted.returns,
                 behind=_behind(frame, box_px, mask, lifted.points),
+                drawn=_drawn(frame, box_px, mask),
             )
         )
     return tuple(observations), tuple(rejected)
@@ -137,6 +142,35 @@ def _behind(
     depth_m = portable.dot(points.mean(axis=0, dtype=np.float64) - view[:3, 3], view[:3, 2])
     width = min((x1 - x0) / camera.fx, (y1 - y0) / camera.fy) * depth_m
     return None if flush_heights(points, weights, 1 / weights, behind, width) is None else behind
+
+
+def _drawn(frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> float:
+    # The share of the rim with returns beside it or, where they are missing, with a step in colour.
+    (x0, y0, x1, y1), (height, width) = box_px, frame.depth_m.shape
+    step = whole_reduction(width)
+    step *= 1 + (min(mask.shape) >= step * _WIDE_PX)
+    reach = step * _RIM_PX
+    left, top, right, bottom = max(0, x0 - reach), max(0, y0 - reach), min(width, x1 + reach), min(height, y1 + reach)
+    around = (slice(top, bottom, step), slice(left, right, step))
+    inside = np.zeros((bottom - top, right - left), np.uint8)
+    inside[y0 - top : y1 - top, x0 - left : x1 - left] = mask
+    inside = np.ascontiguousarray(inside[::step, ::step])
+    near, far = (cv2.dilate(inside, np.ones((2 * px + 1, 2 * px + 1), np.uint8)) for px in (_RIM_PX - 1, _RIM_PX))
+    rim = far > near
+    # Single lines without returns are artefacts of a sensor.
+    unseen = rim & (cv2.dilate((frame.depth_m[around] > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
+    if not unseen.any():
+        return 1.0
+    side, rows, columns = (4 * _RIM_PX + 1, 4 * _RIM_PX + 1), unseen.any(axis=1), unseen.any(axis=0)
+    # Within the windows around these pixels.
+    y, x = (slice(max(0, own.argmax() - side[0]), len(own) - own[::-1].argmax() + side[0]) for own in (rows, columns))
+    inside, unseen, lab = inside[y, x].copy(), unseen[y, x], lab_of(frame.rgb[around][y, x]) * LAB_WEIGHTS
+    weights = cv2.blur(inside.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
+    means = cv2.blur(cv2.copyTo(lab, inside), side, borderType=cv2.BORDER_CONSTANT)
+    beside = cv2.blur(lab, (3, 3))
+    steps = beside[unseen] - means[unseen] / np.maximum(weights[unseen], np.float32(1e-6))[:, None]
+    missing = int(np.count_nonzero((steps * steps).sum(axis=1) < COLOR_STEP * COLOR_STEP))
+    return 1 - missing / int(np.count_nonzero(rim))
 
 
 def rays_of(camera: Camera, step_px: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -138,13 +138,12 @@ def test_time_of_observation_confirms_at_every_keyframe_rate():
     assert {hz: confirmed(hz) for hz in (1, 2, 4)} == {hz: {0: 6 * hz + 1, 1: 2 * hz + 1} for hz in (1, 2, 4)}
 
 
-def test_time_counts_by_how_views_agree_with_the_track():
+def test_time_counts_by_how_closed_the_outline_is():
     core = MapperCore(CONFIG)
     for i in range(4):
-        drive(core, [frame(i, observation(0, A), observation(1, B[B[:, 0] > 0.6] if i else B))])
+        drive(core, [frame(i, observation(0, A), replace(observation(1, B), drawn=0.8))])
     assert [item.phase for item in core.snapshot().objects] == [Phase.ACTIVE, Phase.TENTATIVE]
-    for i in range(4, 7):
-        drive(core, [frame(i, observation(0, B))])
+    drive(core, [frame(4, observation(0, B))])
     assert by_id(core.snapshot())[2].phase == Phase.ACTIVE
 
 

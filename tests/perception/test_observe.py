@@ -52,7 +52,7 @@ def test_of_a_wide_image_every_second_pixel_is_lifted():
         camera = Camera(**{name: times * getattr(CAMERA, name) for name in CAMERA.__slots__})
         found += observed(replace(frame, rgb=rgb, depth_m=depth, camera=camera), mask)[0]
     narrow, wide = found
-    assert wide.mask.sum() == 4 * narrow.mask.sum()
+    assert (wide.mask.sum(), wide.drawn) == (4 * narrow.mask.sum(), narrow.drawn)
     np.testing.assert_array_equal(wide.points_world, narrow.points_world)
     np.testing.assert_array_equal(wide.colors, narrow.colors)
 
@@ -67,6 +67,17 @@ def test_the_factors_of_a_view_are_shares_of_image_and_mask():
     assert observation.r_area == pixels / (CAMERA.width * CAMERA.height)
     assert observation.r_depth == pytest.approx(1 - lost.sum() / pixels)
     assert mask_area_of(CAMERA) == 320 * 240
+
+
+@pytest.mark.parametrize(("color", "drawn"), [((190, 40, 40), 1.0), ((118, 112, 100), 0.1)])
+def test_an_outline_is_drawn_by_returns_or_colour(color, drawn):
+    box = Block(low=BOX.low, high=BOX.high, color=color)
+    frame, shown = render([floor(), box], VIEW)
+    seen = observed(frame, shown == 1)[0][0]
+    alone = replace(frame, depth_m=np.where(shown == 1, frame.depth_m, np.float32(np.nan)))
+    lost = observed(alone, shown == 1)[0][0]
+    assert seen.drawn == 1.0
+    assert lost.drawn == pytest.approx(drawn, abs=0.1)
 
 
 def test_only_what_touches_the_border_is_cut():

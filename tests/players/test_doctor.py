@@ -59,11 +59,11 @@ def test_too_few_frames_for_the_motion_are_losses_5_hz_enough():
     found = _judged([(0.6 * i, 0.18 * i, 12.0 * i) for i in range(19)])
     assert found.status == WITH_LOSSES
     assert "19 keyframes in 10.8 s, 43 would be due at this motion" in found.problems[0]
-    assert "seen for 0.3 s" in found.problems[0]
+    assert "seen for 1 s" in found.problems[0]
     assert _judged([(0.2 * i, 0.1 * i, 8.0 * i) for i in range(50)]).problems == []
     assert _judged([(0.1 * i, 0.0, 0.0) for i in range(200)]).problems == []
-    short = "1 keyframes in 0.2 s: what is seen for 0.3 s is mapped; record for longer"
-    assert _judged([(0.24 * i, 0.2 * i, 0.0) for i in range(2)]).problems == [short]
+    short = "3 keyframes in 0.9 s: what is seen for 1 s is mapped; record for longer"
+    assert _judged([(0.45 * i, 0.2 * i, 0.0) for i in range(3)]).problems == [short]
 
 
 class _Walk:

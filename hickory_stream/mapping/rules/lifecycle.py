@@ -22,8 +22,8 @@ LONGEST_NS = 1_000_000_000
 class LifecycleConfig(Ranged):
     """The thresholds of the table and of its guards."""
 
-    #: A track that was observed for this long is confirmed. Time counts times the squared IoU of view and track.
-    confirm_s: float = number(0.3, 0, 1e9, "s")
+    #: A track that was observed for this long is confirmed. Time counts less where a view leaves its outline open.
+    confirm_s: float = number(1.0, 0, 1e9, "s")
     #: How long an unconfirmed track is kept, so that a second visit can confirm it.
     tentative_s: float = number(60.0, 0, 1e9, "s")
     #: A confirmed track that was not seen for this long becomes dormant.

@@ -14,9 +14,9 @@ from hickory_stream.geometry import portable
 # Side of the averaging windows.
 _WINDOW_PX = 5
 # Weights of CIE Lab; that of lightness is below 1, since shadows change it.
-_LAB_WEIGHTS = np.array([0.5, 1, 1], dtype=np.float32)
+LAB_WEIGHTS = np.array([0.5, 1, 1], dtype=np.float32)
 # Minimum weighted distance between two colours that are not one.
-_COLOR_STEP = 12.0
+COLOR_STEP = 12.0
 # Minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
 _MIN_SEPARATION = 0.7
 # Minimum area of a piece.
@@ -35,7 +35,7 @@ def split_by_color(
     out = labels.copy()
     count = len(boxes)
     pixels = np.bincount(labels.ravel(), minlength=count)
-    weighted = lab * _LAB_WEIGHTS
+    weighted = lab * LAB_WEIGHTS
     for i in range(1, len(boxes)):
         if pixels[i] < 2 * _MIN_PIXELS:
             continue
@@ -69,14 +69,14 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np
     spread /= count
     variances, axes = portable.eigh(spread)
     # Two means at the minimum distance cause at least this variance: with less, the split can be skipped early.
-    if variances[2] < 0.02 * _COLOR_STEP * _COLOR_STEP:
+    if variances[2] < 0.02 * COLOR_STEP * COLOR_STEP:
         return None
     along = portable.matmul(centered, axes[:, 2])
     threshold, separation = _otsu(along)
     high = along > threshold
     if separation < _MIN_SEPARATION:
         return None
-    if portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0)) < _COLOR_STEP:
+    if portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0)) < COLOR_STEP:
         return None
     out = np.zeros(mask.shape, dtype=bool)
     out[mask] = high
