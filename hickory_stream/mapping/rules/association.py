@@ -35,6 +35,8 @@ def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tupl
     return pairs
 
 
+# Minimum IoU of the boxes of a view and its track.
+ALIKE_IOU = 0.2
 # Shares that differ by less than this count as equal: they are quotients of the same counts.
 _TIE = 1e-12
 # An observation can lie on a track only if at least this share of its box is inside the track's box.
@@ -48,7 +50,7 @@ class AssociateConfig(Ranged):
     """When an observation matches a track."""
 
     #: Minimum IoU of the oriented boxes.
-    min_iou: float = number(0.2, 0, 1, "IoU")
+    min_iou: float = number(ALIKE_IOU, 0, 1, "IoU")
     #: Minimum share of a partial view's points that lie on the track.
     min_lies_on: float = number(0.55, 0, 1, "share")
     #: An observation whose box has more than this many times the volume of a settled track's box is under-segmented.

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.entities.cloud import Cloud, fuse, is_near, share_near, sigma_of
 from hickory_stream.mapping.entities.track import Track, with_cloud
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import better, covers_better
+from hickory_stream.mapping.rules.association import ALIKE_IOU
 from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, transition
 from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.mapping.rules.support_relations import COLUMN_M, MEET_M
@@ -251,7 +252,9 @@ def why_one(
 def _why_one_thing(a: Track, b: Track, votes: Votes, voxel_m: float, least_ns: float) -> str | None:
     # Frames that see a picture and its wall as one do not make them so. A size alone, which grows, divides nothing.
     is_one_kind = a.is_attached == b.is_attached
-    if is_one_kind and votes.together_ns >= least_ns and votes.together_ns > votes.apart_ns:
+    # Frames tear leaves and cloth at every gap in depth: boxes as like as those of a view and its track outvote them.
+    is_one_place = not (a.is_promoted or b.is_promoted) and box_iou(a.box, b.box) >= ALIKE_IOU
+    if is_one_kind and votes.together_ns >= least_ns and (votes.together_ns > votes.apart_ns or is_one_place):
         return f"seen as one for {votes.together_ns / 1e9:.1f} s, apart for {votes.apart_ns / 1e9:.1f} s"
     small, large = (a, b) if len(a.solid.keys) <= len(b.solid.keys) else (b, a)
     share = share_near(small.solid.keys, large.solid)

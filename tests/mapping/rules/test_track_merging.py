@@ -146,6 +146,16 @@ def test_pieces_merge_when_seen_as_one_more_often_than_apart(together_s, apart_s
     assert found(book, *(track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1))))) == verdict
 
 
+def test_leaves_in_one_place_are_one_although_frames_mostly_tear_them():
+    lower, upper = (
+        np.concatenate([box_surface((0, 0, z + k), (0.5, 0.5, 0.02)) for k in (0, 0.2, 0.4, 0.6)]) for z in (0, 0.3)
+    )
+    book = merging.VoteBook().plus([(1, 2)], together_ns=SECOND_NS, apart_ns=2 * SECOND_NS)
+    assert found(book, track(1, lower), track(2, upper)) == (1, 2)
+    assert found(book, replace(track(1, lower), is_promoted=True), track(2, upper)) is None
+    assert found(merging.VoteBook().plus([(1, 2)], apart_ns=SECOND_NS), track(1, lower), track(2, upper)) is None
+
+
 def test_votes_of_things_that_do_not_even_touch_weld_nothing():
     book = merging.VoteBook().plus([(1, 2)], together_ns=50 * SECOND_NS)
     assert found(book, track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.6, 0, 0.1)))) is None
