@@ -134,6 +134,17 @@ def test_every_voxel_is_in_one_submap_and_none_is_lost(steps):
     assert len(np.unique(np.concatenate(owned))) == sum(map(len, owned))
 
 
+def test_a_voxel_that_an_open_submap_took_while_it_was_moved_apart_stays_with_the_earlier_one():
+    keys, config = np.int64([5, 7]), SubmapConfig(travel_m=0.5)
+    seen = SpaceObservation(free_keys=keys, structure_keys=keys[:0], surface_keys=keys[:0], floor_z_m=0.1)
+    submaps = travelled(with_seen(first_submap(0.05), seen), camera_at(0.0), 0, config)
+    submaps = travelled(submaps, camera_at(1.0), 0, config)
+    both = replace(submaps.states[-1], space=submaps.states[0].space)
+    submaps = travelled(replace(submaps, states=(*submaps.states[:-1], both)), camera_at(2.0), 0, config)
+    assert len(submaps.states) == 3
+    assert (submaps.owned.tolist(), submaps.owners.tolist()) == ([5, 7], [0, 0])
+
+
 def test_the_way_is_not_measured_across_a_jump_of_the_stamps():
     def went(submaps, x_m):
         return travelled(submaps, camera_at(x_m), 0, SubmapConfig(travel_m=15.0, drift_m=100.0))

@@ -431,7 +431,8 @@ def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
 
 def _closed(submaps: Submaps) -> Submaps:
     own = submaps.states[-1].space
-    keys = _voxels(own if submaps.window is None else cut(own, submaps.window))
+    # While it was moved apart it may have taken a voxel of an earlier one, which keeps it.
+    keys = difference(_voxels(own if submaps.window is None else cut(own, submaps.window)), submaps.owned)
     owned = np.concatenate([submaps.owned, keys])
     owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
     order = np.argsort(owned, kind="stable")
