@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.errors import GraphError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.config import GraphConfig
@@ -40,7 +41,10 @@ def predictions(
     if isinstance(solution, NoSolution):
         return solution
     earlier_ids = range(max(0, later_id - least_apart + 1))
-    covariances = relative_covariances(graph, solution, [(i, later_id) for i in earlier_ids])
+    try:
+        covariances = relative_covariances(graph, solution, [(i, later_id) for i in earlier_ids])
+    except GraphError as error:
+        return NoSolution(reason=str(error))
     world_from = world_from_submaps(submaps, solution.world_from_node)
     return {
         i: Predicted(

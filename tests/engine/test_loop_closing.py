@@ -2,6 +2,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hickory_stream.box_scene import SCENE_CAMERA, SceneBox, SceneSource
+from hickory_stream.errors import GraphError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
@@ -96,6 +97,21 @@ def test_without_loops_the_map_keeps_drift_and_duplicates(tmp_path, closed):
     assert all(np.array_equal(s.world_from_submap, np.eye(4)) for s in plain.snapshots[-1].submaps)
     assert worst_place_m(plain) > 0.25
     assert len(plain.snapshots[-1].objects) > len(closed.snapshots[-1].objects)
+
+
+@pytest.mark.parametrize(("where", "says"), [
+    ("hickory_stream.graph.solve.relative_covariances", "are not searched"),
+    ("hickory_stream.engine.loop_closing.graph_record", "loops are left out"),
+])  # fmt: skip
+def test_a_graph_that_leaves_a_place_open_costs_its_loops_not_the_run(where, says, tmp_path, monkeypatch, caplog):
+    def left_open(*_):
+        raise GraphError("the solution does not determine all nodes of the graph")
+
+    monkeypatch.setattr(where, left_open)
+    found = run(tmp_path)
+    assert found.snapshots[-1].graph is None
+    assert open_map(found.folder.path).manifest.finished_cleanly
+    assert says in caplog.text
 
 
 SEARCH = "hickory_stream.loops.search.search_loops"
