@@ -105,8 +105,8 @@ def _with_walk(source: Path, walk: str) -> Iterator[Path]:
     world["walks"][walk] = {**forth, "points": [first, *reversed(others)]}
     with tempfile.TemporaryDirectory() as temporary:
         for entry in source.iterdir():
-            (Path(temporary) / entry.name).symlink_to(entry)
-        (Path(temporary) / "world.json").unlink()
+            if entry.name != "world.json":
+                (Path(temporary) / entry.name).symlink_to(entry)
         (Path(temporary) / "world.json").write_text(dumps_exactly(world), encoding="utf-8")
         yield Path(temporary)
 
