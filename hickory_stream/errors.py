@@ -13,7 +13,6 @@
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
     |   |-- ViewerError             a requested viewer that is missing
     |   `-- OutputError             a requested file that could not be completed
-    |-- GraphError                  a pose graph whose solution leaves the asked quantity open
     |-- WorkerError                 a shape worker that did not start or broke its protocol
     `-- InvariantError              a contradiction in the map's state, found with --debug
 
@@ -90,10 +89,6 @@ class OutputError(InputError):
 
 class WorkerError(HickoryError):
     """A shape worker that did not start, or broke its protocol."""
-
-
-class GraphError(HickoryError):
-    """A pose graph whose solution leaves the asked quantity open."""
 
 
 class InvariantError(HickoryError):

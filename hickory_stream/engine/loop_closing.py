@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from hickory_stream.engine.modes import Mode
-from hickory_stream.errors import GraphError
 from hickory_stream.events import LoopsSearched, PosesCorrected, SearchLoops
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.solution import NoSolution
@@ -80,11 +79,7 @@ class LoopCloser:
         if isinstance(solution, NoSolution):
             logger.warning("loops are left out: %s", solution.reason)
             return None
-        try:
-            record = graph_record(graph, solution, core.loops, began_ns)
-        except GraphError as error:
-            logger.warning("loops are left out: %s", error)
-            return None
+        record = graph_record(graph, solution, core.loops, began_ns)
         places = submap_places(submaps, solution.world_from_node)
         before = [submap.world_from_submap for submap in submaps]
         if not is_correction(submaps, places, before):

@@ -133,8 +133,11 @@ class Factors:
         """Return the squared residuals of all factors."""
         return 2.0 * float(self.graph.error(values))
 
-    def marginals(self, values: Any) -> Any:
-        """Return GTSAM's marginals at a solution; raises RuntimeError."""
+    def marginals(self, poses: NDArray[np.float64]) -> Any:
+        """Return GTSAM's marginals at poses (N, 4, 4) of nodes 0 to N - 1; raises RuntimeError if one is left open."""
+        values = self._gtsam.Values()
+        for node, pose in enumerate(poses):
+            values.insert(node, self._gtsam.Pose3(pose))
         return self._gtsam.Marginals(self.graph, values)
 
     def _between(self, a: int, b: int, a_from_b: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:

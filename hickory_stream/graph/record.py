@@ -24,11 +24,8 @@ def record_of(
     """Return the record of a graph and its solution, by the ascending id and the opening stamp of each node's submap.
 
     An edge of odometry has the stamp of its later node.
-
-    Raises:
-        GraphError: the solution belongs to another graph.
     """
-    covariances = node_covariances(graph, solution)
+    covariances = node_covariances(solution)
     variances = covariances.diagonal(axis1=1, axis2=2)
     nodes = tuple(
         GraphNode(

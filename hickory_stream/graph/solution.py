@@ -1,7 +1,7 @@
 """The answer of a solver: a `Solution`, or a `NoSolution` with its reason; never odometry's poses for a failure."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ class Solution:
     #: ids, ascending
     accepted: tuple[int, ...]
     rejected: tuple[RejectedLoop, ...]
+    #: of GTSAM, for the covariances of nodes
+    marginals: Any
     #: of all factors, with `dof` degrees of freedom
     chi2: float
     dof: int

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.errors import GraphError
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.chain import Chain
@@ -54,16 +53,15 @@ def solve(
         return NoSolution(reason=f"the pose graph could not be solved: {str(error).strip().splitlines()[0]}")
 
 
-def node_covariances(graph: PoseGraph, solution: Solution) -> NDArray[np.float64]:
-    """Return (N, 6, 6) the covariance of each node relative to node 0, in its frame; raises `GraphError`."""
-    marginals = _marginals(graph, solution)
-    return np.array([symmetric(marginals.marginalCovariance(i)) for i in range(graph.num_nodes)])
+def node_covariances(solution: Solution) -> NDArray[np.float64]:
+    """Return (N, 6, 6) the covariance of each node relative to node 0, in its frame."""
+    nodes = range(len(solution.world_from_node))
+    return np.array([symmetric(solution.marginals.marginalCovariance(i)) for i in nodes])
 
 
-def relative_covariances(graph: PoseGraph, solution: Solution, pairs: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
-    """Return (P, 6, 6) the covariance of `a_from_b` of pairs (a, b), in the frame of b; raises `GraphError`."""
-    marginals = _marginals(graph, solution)
-    return np.array([_relative(marginals, solution.world_from_node, a, b) for a, b in pairs]).reshape(-1, 6, 6)
+def relative_covariances(solution: Solution, pairs: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
+    """Return (P, 6, 6) the covariance of `a_from_b` of pairs (a, b), in the frame of b."""
+    return np.array([_relative(solution, a, b) for a, b in pairs]).reshape(-1, 6, 6)
 
 
 def _possible(graph: PoseGraph, chain: Chain) -> tuple[list[LoopEdge], dict[int, str]]:
@@ -152,6 +150,7 @@ def _placed(
             RejectedLoop(id=i, status="withdrawn" if i in accepted_before else "rejected", reason=reason)
             for i, reason in against
         ),
+        marginals=factors.marginals(poses),
         chi2=factors.total_chi2(values),
         dof=6 * len(believed) + 2 * (graph.num_nodes - 1),
     )
@@ -166,20 +165,11 @@ def _whole(graph: PoseGraph, loops: Sequence[LoopEdge], start: NDArray[np.float6
     return factors, [factors.add_loop(loop) for loop in loops]
 
 
-def _marginals(graph: PoseGraph, solution: Solution) -> Any:
-    believed = [loop for loop in graph.loops if loop.id in set(solution.accepted)]
-    factors, _ = _whole(graph, believed, solution.world_from_node)
-    try:
-        return factors.marginals(factors.values)
-    except RuntimeError as error:
-        raise GraphError(f"the solution does not determine all nodes of the graph: {error}") from error
-
-
-def _relative(marginals: Any, world_from_node: NDArray[np.float64], a: int, b: int) -> NDArray[np.float64]:
+def _relative(solution: Solution, a: int, b: int) -> NDArray[np.float64]:
     if a == b:
         return np.zeros((6, 6))
-    joint = marginals.jointMarginalCovariance([a, b])
-    carry = adjoint(portable.matmul(invert(world_from_node[b]), world_from_node[a]))
+    joint = solution.marginals.jointMarginalCovariance([a, b])
+    carry = adjoint(portable.matmul(invert(solution.world_from_node[b]), solution.world_from_node[a]))
     across = portable.matmul(carry, joint.at(a, b))
     own = portable.matmul(portable.matmul(carry, joint.at(a, a)), carry.T)
     return symmetric(own + joint.at(b, b) - across - across.T)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.errors import GraphError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.config import GraphConfig
@@ -36,15 +35,11 @@ def predictions(
     from hickory_stream.graph.solve import relative_covariances, solve
 
     later_id = len(submaps) - 1
-    graph = pose_graph(submaps, loops, [0] * len(submaps), config)
-    solution = solve(graph, config)
+    solution = solve(pose_graph(submaps, loops, [0] * len(submaps), config), config)
     if isinstance(solution, NoSolution):
         return solution
     earlier_ids = range(max(0, later_id - least_apart + 1))
-    try:
-        covariances = relative_covariances(graph, solution, [(i, later_id) for i in earlier_ids])
-    except GraphError as error:
-        return NoSolution(reason=str(error))
+    covariances = relative_covariances(solution, [(i, later_id) for i in earlier_ids])
     world_from = world_from_submaps(submaps, solution.world_from_node)
     return {
         i: Predicted(
