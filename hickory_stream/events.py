@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import (
         CoarseFrame,
         Decision,
+        Keypoints,
         Loop,
         MapSnapshot,
         MaskFeature,
@@ -49,6 +50,8 @@ class FrameObserved:
     degenerate: NDArray[np.float64] = field(default_factory=no_directions)
     #: Of the depth's standard deviation; by default no return is worth more than another.
     depth_law: tuple[float, float, float] = (2.0**-7, 0.0, 0.0)
+    #: None: loops are not searched.
+    keypoints: Keypoints | None = None
 
     def __post_init__(self) -> None:
         freeze_all(self, float, world_from_camera=(4, 4), degenerate=(None, 6))

@@ -261,6 +261,24 @@ class CoarseFrame:
             raise ValueError(f"cells of {self.stride_px} pixels, {self.depth_mm.shape} of them")
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class Keypoints(GivesUpArrays):
+    """Point features of a keyframe with depth, by which its place is recognised: 44 bytes each.
+
+    Binary `descriptors` (N, 32) and `points` (N, 3) in its `camera`, which is at `world_from_camera` (4, 4).
+    """
+
+    camera: Camera
+    world_from_camera: NDArray[np.float64]
+    descriptors: NDArray[np.uint8]
+    points: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+        freeze(self, "descriptors", np.uint8, (None, 32))
+        freeze(self, "points", np.float32, (len(self.descriptors), 3))
+
+
 class Phase(StrEnum):
     """The phases of a track; the rules between them are the table in `mapping/rules/lifecycle.py`."""
 
@@ -494,7 +512,7 @@ class SurveyedSubmap(GivesUpArrays):
     turns of the camera; `after_jump`: the odometry jumped before it. `registered` (6, 6): covariance of its least
     certain keyframe, or None. `blind`, `unfixed` (6, 6): path lengths without information of odometry, of registration
     (`mapping/entities/submaps.py`), None: zero. `points`, unit `normals` (N, 3): its surface; `free`: sorted keys of
-    free voxels of `voxel_m`.
+    free voxels of `voxel_m`. `keypoints`: of its keyframes.
     """
 
     id: int
@@ -510,6 +528,7 @@ class SurveyedSubmap(GivesUpArrays):
     registered: NDArray[np.float64] | None = None
     blind: NDArray[np.float64] | None = None
     unfixed: NDArray[np.float64] | None = None
+    keypoints: tuple[Keypoints, ...] = ()
 
     def __post_init__(self) -> None:
         whole_number(self.id, "submap")
@@ -527,15 +546,15 @@ class Loop:
 
     `earlier_from_later` (4, 4): between the submaps' frames, the identity without drift. `covariance` (6, 6): small
     rotation (rad), then shift (m), of the later anchor in its own frame. `method`: by surfaces from the graph's poses,
-    or by an alignment of objects. `score`: share of the overlapping later surface on the earlier one. `reason`: why it
-    is no loop, None for a candidate, which the graph decides.
+    by keypoints, or by an alignment of objects. `score`: share of the overlapping later surface on the earlier one.
+    `reason`: why it is no loop, None for a candidate, which the graph decides.
     """
 
     earlier: int
     later: int
     earlier_from_later: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    method: Literal["surface", "objects"]
+    method: Literal["surface", "appearance", "objects"]
     score: float
     reason: str | None = None
 

@@ -87,6 +87,10 @@ VALID = {
         "points": np.zeros((5, 3), np.float32), "normals": np.ones((5, 3), np.float32), "free": _KEYS, "voxel_m": 0.05,
         "registered": np.eye(6), "blind": np.eye(6), "unfixed": np.eye(6),
     },
+    records.Keypoints: {
+        "camera": _CAMERA, "world_from_camera": _POSE, "descriptors": np.ones((5, 32), np.uint8),
+        "points": np.zeros((5, 3), np.float32),
+    },
     records.Loop: {
         "earlier": 0, "later": 3, "earlier_from_later": _POSE, "covariance": np.eye(6), "method": "surface",
         "score": 0.9,

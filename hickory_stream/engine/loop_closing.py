@@ -112,6 +112,7 @@ class LoopCloser:
             later_id=later_id,
             surfaces=Surfaces(submaps),
             predicted=predicted,
+            keypoints={submap.id: submap.keypoints for submap in submaps},
             snapshot=search.snapshot,
             extractor=self._extractor,
         )

@@ -63,6 +63,7 @@ from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import FeatureExtractor, Segmenter, Source, interrupt, num_seeks, prepared_at
+from hickory_stream.poses.visual_motion import keypoints_of
 from hickory_stream.records import Decision, Frame, MapSnapshot
 
 logger = logging.getLogger(__name__)
@@ -300,7 +301,10 @@ class Run:
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
         current = CurrentKeyframe(frame=frame, observations=perceived.observations, patches=ahead.patches)
-        decided = await self._effects.decide(perceived.event(frame), current)
+        event = perceived.event(frame)
+        if self._parts.config.mapping.submaps.searches_loops:
+            event = replace(event, keypoints=await on_thread(self._mapping_thread, keypoints_of, frame))
+        decided = await self._effects.decide(event, current)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
         for stage, seconds in times.items():

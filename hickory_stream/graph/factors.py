@@ -15,7 +15,7 @@ from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import invert, is_rigid
 from hickory_stream.graph.config import GraphConfig
 
-LoopMethod = Literal["surface", "objects"]
+LoopMethod = Literal["surface", "appearance", "objects"]
 # No edge is known better than this.
 FLOOR_M = 0.01
 _FLOOR_RAD = 0.002

@@ -6,7 +6,7 @@ much surface met, and how much lies in the free space of the other submap.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,7 +29,7 @@ _COARSE_POINTS = 1500
 # So many neighbouring points err alike: the share of the Hessian that counts as independent evidence.
 _CORRELATED = 30.0
 # The least difference of two surfaces of one room, however many points they have: no submap is quite rigid.
-_FLOOR_RAD, _FLOOR_M = 0.004, 0.02
+_FLOOR = np.diag([0.004**2] * 3 + [0.02**2] * 3)
 # Variance along directions that the surfaces leave open, in m^2 and rad^2.
 _UNKNOWN_VARIANCE = 100.0
 # Surfaces nearer than this to each other, across, have met.
@@ -157,6 +157,12 @@ def refined(earlier: Surface, later: Surface, predicted: NDArray[np.float64], ne
     return SurfaceFit(earlier_from_later=found, covariance=covariance, num_met=met, num_known=met + against)
 
 
+def with_known_start(fit: SurfaceFit, covariance: NDArray[np.float64]) -> SurfaceFit:
+    """Return a fit whose start had a `covariance` (6, 6) like the fit's: it counts where the surfaces say nothing."""
+    joined = np.linalg.inv(np.linalg.inv(fit.covariance) + np.linalg.inv(covariance))
+    return replace(fit, covariance=0.5 * (joined + joined.T) + _FLOOR)
+
+
 def _from_anchor(later: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     node_from_later = invert(later.anchor)
     return apply(node_from_later, later.points), portable.matmul(later.normals, node_from_later[:3, :3].T)
@@ -243,7 +249,7 @@ def _covariance(paired: _Paired, degenerate: NDArray[np.float64]) -> NDArray[np.
     values, vectors = portable.eigh(hessian / (variance * _CORRELATED))
     variances = 1.0 / np.maximum(values, 1.0 / _UNKNOWN_VARIANCE)
     covariance = portable.matmul(vectors * variances, vectors.T)
-    covariance += np.diag([_FLOOR_RAD**2] * 3 + [_FLOOR_M**2] * 3)
+    covariance += _FLOOR
     for direction in degenerate:
         covariance += _UNKNOWN_VARIANCE * np.outer(direction, direction)
     return np.asarray(covariance)

@@ -4,6 +4,7 @@ ORB features (Rublee et al., ICCV 2011), matched by the ratio of distances (Lowe
 (OpenCV), then Gauss-Newton over the inliers, which also gives the information of the pose.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
-from hickory_stream.records import Frame
+from hickory_stream.records import Frame, Keypoints
 
 Matrix = NDArray[np.float64]
 
-_NUM_FEATURES = 1000
+# Of a frame that is tracked, and of a keyframe that is kept for loops.
+_NUM_FEATURES, _NUM_KEYPOINTS = 1000, 500
 # Images of dim rooms have weak corners.
 _CORNER_CONTRAST = 7
 # The depth of a feature is the median of the returns within so many pixels, if they are of one surface.
@@ -67,9 +69,9 @@ class _Placed:
     start_from_camera: Matrix
 
 
-def features_of(frame: Frame) -> Features:
+def features_of(frame: Frame, num_features: int = _NUM_FEATURES) -> Features:
     """Return the features of a frame, with the depth at each."""
-    detector = cv2.ORB.create(_NUM_FEATURES, fastThreshold=_CORNER_CONTRAST)
+    detector = cv2.ORB.create(num_features, fastThreshold=_CORNER_CONTRAST)
     corners, descriptors = detector.detectAndCompute(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY), None)
     pixels = np.array([corner.pt for corner in corners], dtype=np.float64).reshape(-1, 2)
     camera, depth = frame.camera, _depth_at(frame.depth_m, pixels)
@@ -80,6 +82,36 @@ def features_of(frame: Frame) -> Features:
         descriptors=np.empty((0, 32), np.uint8) if descriptors is None else np.asarray(descriptors, dtype=np.uint8),
         points=np.stack([x * depth, y * depth, depth], axis=1),
     )
+
+
+def keypoints_of(frame: Frame) -> Keypoints:
+    """Return the strongest features of a keyframe that have a depth."""
+    features = features_of(frame, _NUM_KEYPOINTS)
+    has = np.isfinite(features.points[:, 2])
+    return Keypoints(
+        camera=frame.camera,
+        world_from_camera=frame.world_from_camera,
+        descriptors=features.descriptors[has],
+        points=features.points[has].astype(np.float32),
+    )
+
+
+def recognised(views: Sequence[Keypoints], others: Sequence[Keypoints]) -> tuple[int, int, Sighting] | None:
+    """Return which of some keyframes shows most of which other one, and its pose by that; None: none shows enough."""
+    placed, best = [_placed(other) for other in others], None
+    for i, view in enumerate(views):
+        found = _found(_placed(view).features, placed)
+        if found is not None and (best is None or found[1].num_inliers > best[2].num_inliers):
+            best = (i, *found)
+    return best
+
+
+def _placed(view: Keypoints) -> _Placed:
+    camera, points = view.camera, view.points.astype(np.float64)
+    x, y, z = points.T
+    pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+    features = Features(camera=camera, pixels=pixels, descriptors=view.descriptors, points=points)
+    return _Placed(features=features, start_from_camera=view.world_from_camera)
 
 
 def _depth_at(depth_m: NDArray[np.float32], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -101,23 +133,17 @@ class VisualMotion:
     def __init__(self) -> None:
         self._keyframes, self._places = list[_Placed](), np.empty((0, 4, 4))
         self._last: _Placed | None = None
-        self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
 
     def sighted(self, features: Features) -> Sighting | None:
         """Return the pose of a frame by its features; None: they match neither the last frame nor a keyframe."""
         if self._last is None:
             return None
-        return self._pose(features, self._last, _LEAST_INLIERS) or self.found(features)
+        return _pose(features, self._last, _LEAST_INLIERS, is_tracked=True) or self.found(features)
 
     def found(self, features: Features) -> Sighting | None:
         """Return the pose of a frame by the keyframe that shows most of the same; None: none does."""
-        if self._last is None:
-            return None
-        some = features.descriptors[::_VOTES_EVERY]
-        votes = [len(self._alike(some, each.features.descriptors)) for each in self._keyframes]
-        likeliest = np.argsort(-np.array(votes), kind="stable")[:_NUM_SEARCHED]
-        poses = (self._pose(features, self._keyframes[i], _LEAST_FOUND) for i in likeliest)
-        return max((pose for pose in poses if pose is not None), key=lambda pose: pose.num_inliers, default=None)
+        found = _found(features, self._keyframes)
+        return None if found is None else found[1]
 
     def placed(self, features: Features, start_from_camera: Matrix) -> None:
         """Remember a frame at its final pose (4, 4)."""
@@ -128,34 +154,39 @@ class VisualMotion:
             self._keyframes = [*self._keyframes, placed][-_MAX_KEYFRAMES:]
             self._places = np.array([each.start_from_camera for each in self._keyframes])
 
-    def _pose(self, features: Features, other: _Placed, least: int) -> Sighting | None:
-        ours, theirs = self._matches(features, other.features)
-        if len(ours) < least:
-            return None
-        points = apply(other.start_from_camera, other.features.points[theirs])
-        located = _located(points, features, ours, least)
-        if located is None:
-            return None
-        start_from_camera, information, num_inliers = located
-        return Sighting(
-            start_from_camera=start_from_camera,
-            information=information,
-            num_inliers=num_inliers,
-            is_tracked=other is self._last,
-        )
 
-    def _matches(self, ours: Features, theirs: Features) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        known = np.flatnonzero(np.isfinite(theirs.points[:, 2]))
-        good = self._alike(ours.descriptors, theirs.descriptors[known])
-        own, other = (np.array([getattr(each, name) for each in good], np.int64) for name in ("queryIdx", "trainIdx"))
-        return own, known[other]
+def _found(features: Features, keyframes: Sequence[_Placed]) -> tuple[int, Sighting] | None:
+    # The keyframe that shows most of the same, and the pose of the features by it.
+    some = features.descriptors[::_VOTES_EVERY]
+    votes = [len(_alike(some, each.features.descriptors)) for each in keyframes]
+    likeliest = np.argsort(-np.array(votes), kind="stable")[:_NUM_SEARCHED]
+    poses = ((int(i), _pose(features, keyframes[i], _LEAST_FOUND)) for i in likeliest)
+    found = [(i, pose) for i, pose in poses if pose is not None]
+    return max(found, key=lambda each: each[1].num_inliers, default=None)
 
-    def _alike(self, ours: NDArray[np.uint8], theirs: NDArray[np.uint8]) -> list[cv2.DMatch]:
-        # The matches that are clearly nearer than the second nearest.
-        if len(ours) == 0 or len(theirs) < 2:
-            return []
-        pairs = self._matcher.knnMatch(ours, theirs, k=2)
-        return [first for first, second in pairs if first.distance < _RATIO * second.distance]
+
+def _pose(features: Features, other: _Placed, least: int, *, is_tracked: bool = False) -> Sighting | None:
+    known = np.flatnonzero(np.isfinite(other.features.points[:, 2]))
+    good = _alike(features.descriptors, other.features.descriptors[known])
+    ours, theirs = (np.array([getattr(each, name) for each in good], np.int64) for name in ("queryIdx", "trainIdx"))
+    if len(ours) < least:
+        return None
+    points = apply(other.start_from_camera, other.features.points[known[theirs]])
+    located = _located(points, features, ours, least)
+    if located is None:
+        return None
+    start_from_camera, information, num_inliers = located
+    return Sighting(
+        start_from_camera=start_from_camera, information=information, num_inliers=num_inliers, is_tracked=is_tracked
+    )
+
+
+def _alike(ours: NDArray[np.uint8], theirs: NDArray[np.uint8]) -> list[cv2.DMatch]:
+    # The matches that are clearly nearer than the second nearest.
+    if len(ours) == 0 or len(theirs) < 2:
+        return []
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(ours, theirs, k=2)
+    return [first for first, second in pairs if first.distance < _RATIO * second.distance]
 
 
 def _located(

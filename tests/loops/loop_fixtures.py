@@ -7,19 +7,21 @@ from hickory_stream.loops.surfaces import Surface
 from tools.evaluation.simulated_maps.loop_rooms import STEP_M, bare_room, box
 
 VOXEL_M = 0.05
+BOXES = ((0.5, 0.6, 0.6, 0.7), (2.6, 1.7, 0.9, 0.4))
+"""The low corner of each, its side and its height."""
 ANCHOR = from_rotation_translation(yaw_rotation(0.4), np.array([2.0, 1.5, 1.2]))
 
 
 def room():
     """A floor of 4 m by 3 m and four walls of 2 m, seen from inside, with two boxes."""
-    return [*bare_room(0.0), *box(0.5, 0.6, 0.6, 0.7), *box(2.6, 1.7, 0.9, 0.4)]
+    return [*bare_room(0.0), *(side for each in BOXES for side in box(*each))]
 
 
-def air(low=(0, 0, 0), high=(4, 3, 2)):
+def air(boxes=BOXES, low=(0, 0, 0), high=(4, 3, 2)):
     """The voxels inside a room, but for its boxes."""
     axes = [np.arange(a + VOXEL_M, b - VOXEL_M, VOXEL_M) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    for x, y, side, height in ((0.5, 0.6, 0.6, 0.7), (2.6, 1.7, 0.9, 0.4)):
+    for x, y, side, height in boxes:
         inside = (points >= [x, y, 0]).all(axis=1) & (points <= [x + side, y + side, height]).all(axis=1)
         points = points[~inside]
     return sorted_unique(keys_of_points(points, VOXEL_M))

@@ -1,12 +1,13 @@
 from dataclasses import replace
 import numpy as np
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.loops import search
 from hickory_stream.loops.config import LoopConfig
 from hickory_stream.loops.predictions import Predicted
 from hickory_stream.loops.search import LoopQuery, search_loops
 from hickory_stream.loops.surfaces import refined, registered
-from hickory_stream.records import MapSnapshot
+from hickory_stream.records import Keypoints, MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.loops.loop_fixtures import air, off, room, shift, surface
 from tools.evaluation.simulated_maps.loop_rooms import box, patch
@@ -83,6 +84,64 @@ def test_where_the_graph_knows_too_little_the_objects_tell():
     assert loops[0].reason is None
     assert np.allclose(loops[0].earlier_from_later, invert(far), atol=0.05)
     assert search_loops(replace(asked, snapshot=None), CONFIG) == ()
+
+
+CAMERA = Camera(width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
+# z forward, y down, along x of the world.
+LOOKING = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def poster(seed):
+    """Points on the wall at x = 4, and what they look like."""
+    rng = np.random.default_rng(seed)
+    points = np.stack([np.full(80, 4.0), rng.uniform(0.8, 2.2, 80), rng.uniform(0.6, 1.8, 80)], axis=1)
+    return points, rng.integers(0, 256, (80, 32), dtype=np.uint8)
+
+
+def looks(poster, y_m, yaw_deg=0.0, own_from_world=None):
+    """The keyframe of a camera that looks at a poster, in a frame of its own."""
+    turn = yaw_rotation(np.radians(yaw_deg)) @ LOOKING
+    world_from_camera = from_rotation_translation(turn, np.array([1.0, y_m, 1.2]))
+    points, descriptors = poster
+    return Keypoints(
+        camera=CAMERA, world_from_camera=compose(np.eye(4) if own_from_world is None else own_from_world,
+        world_from_camera), descriptors=descriptors, points=apply(invert(world_from_camera), points).astype(np.float32),
+    )  # fmt: skip
+
+
+def after_jump(earlier, later, far, seen=1):
+    """The search for a later submap anywhere, by a poster in both, or by another one in the later."""
+    views = {0: [looks(poster(1), 1.4)], 3: [looks(poster(seen), 1.7, 5.0, far)]}
+    return search_loops(replace(query(earlier, later, sigma_m=30.0), keypoints=views), CONFIG)
+
+
+def test_where_the_graph_knows_too_little_a_keyframe_is_recognised():
+    far = shift(40.0, -20.0, yaw_deg=130.0)
+    both = surface(room(), free=air()), surface(room(), own_from_world=far, seed=1)
+    (loop,) = after_jump(*both, far)
+    assert (loop.earlier, loop.later, loop.method, loop.reason) == (0, 3, "appearance", None)
+    assert off(loop.earlier_from_later, far)[0] < 0.015
+    assert after_jump(*both, far, seen=2) == ()
+
+
+def test_a_keyframe_says_where_it_is_along_a_bare_wall():
+    """The surfaces of both leave one direction open."""
+    wall = [patch([4, -4, 0], [0, 11, 0], [0, 0, 2], [-1, 0, 0]), patch([0, -4, 0], [4, 0, 0], [0, 11, 0], [0, 0, 1])]
+    far = shift(12.0, 3.0, yaw_deg=-70.0)
+    (loop,) = after_jump(surface(wall), surface(wall, own_from_world=far, seed=1), far)
+    assert loop.reason is None
+    assert off(loop.earlier_from_later, far)[0] < 0.03
+    assert np.sqrt(np.linalg.eigvalsh(loop.covariance[3:, 3:])[-1]) < 0.1
+
+
+def test_rooms_with_one_poster_are_told_apart_by_their_furniture():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        boxes = [(x, *rng.uniform((0.2, 0.5, 0.6), (2.0, 0.9, 1.6))) for x in (0.3, 1.6, 2.7)]
+        own = [*room()[:5], *(side for each in boxes for side in box(*each))]
+        (loop,) = after_jump(surface(room(), free=air()), surface(own, free=air(boxes), seed=1), np.eye(4))
+        assert loop.method == "appearance"
+        assert "free space" in loop.reason
 
 
 def test_a_room_seen_again_registers_to_a_centimetre():

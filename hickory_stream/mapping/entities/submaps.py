@@ -35,7 +35,7 @@ from hickory_stream.mapping.entities.observed_space import (
     without_floor,
 )
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface, no_surface, surface_points, with_points
-from hickory_stream.records import SpaceObservation, Submap, SurveyedSubmap
+from hickory_stream.records import Keypoints, SpaceObservation, Submap, SurveyedSubmap
 
 
 def longer(
@@ -70,6 +70,8 @@ _DRIFT_PER_RAD_M = 0.005
 # The voxel size of a submap's surface, in which loops are searched, and the greatest depth of its points.
 _SURFACE_M = 0.08
 _SURFACE_RANGE_M = 5.0
+# A keyframe's features are kept if no other one of its submap looked from so near in so nearly the same direction.
+_SAME_VIEW_M, _SAME_VIEW_COSINE = 0.25, 0.966
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -111,6 +113,7 @@ class SubmapState:
     #: lengths (6, 6) along which registration saw nothing
     unfixed: NDArray[np.float64] | None = None
     surface: SubmapSurface = field(default_factory=no_surface)
+    keypoints: tuple[Keypoints, ...] = ()
     #: sorted voxels that a later submap contradicts (`space_agreement`); None without a correction
     outdated: NDArray[np.int64] | None = None
 
@@ -183,10 +186,17 @@ def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) 
     pose = event.world_from_camera
     blind = longer(submaps.states[-1].blind, turned_directions(pose, event.degenerate), submaps.last_pose, pose)
     submaps = travelled(_with_open(submaps, blind=blind), pose, event.stamp_ns, config)
+    views = submaps.states[-1].keypoints
+    if event.keypoints is not None and not any(_is_same_view(view.world_from_camera, pose) for view in views):
+        submaps = _with_open(submaps, keypoints=(*views, event.keypoints))
     if event.coarse is None:
         return submaps
     seen = surface_points(event.coarse, pose, _SURFACE_RANGE_M)
     return _with_open(submaps, surface=with_points(submaps.states[-1].surface, seen, _SURFACE_M))
+
+
+def _is_same_view(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    return portable.norm(a[:3, 3] - b[:3, 3]) < _SAME_VIEW_M and portable.dot(a[:3, 2], b[:3, 2]) > _SAME_VIEW_COSINE
 
 
 def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
@@ -344,6 +354,7 @@ def surveyed(state: SubmapState) -> SurveyedSubmap:
             registered=state.registered,
             blind=state.blind,
             unfixed=state.unfixed,
+            keypoints=state.keypoints,
             points=_NO_POINTS,
             normals=_NO_POINTS,
             free=_NO_KEYS,
@@ -375,6 +386,8 @@ def compress_unused(submaps: Submaps, keep: Keep) -> None:
             for space in (state.space, state.seen):
                 compress(space, "free", "hidden_free", "surface", "hits", "misses", keep=keep)
             compress(state.surface, "keys", "points", "normals", "hits", keep=keep)
+            for view in state.keypoints:
+                compress(view, "descriptors", "points", keep=keep)
 
 
 def _shown_space(state: SubmapState) -> SpaceState:

@@ -77,7 +77,7 @@ def end_search(state: MapState, event: LoopsSearched) -> None:
     state.searches = tuple(search for search in state.searches if search.submap_id != event.submap_id)
     state.loops = (*state.loops, *event.loops)
     for loop in event.loops:
-        way = "their surfaces" if loop.method == "surface" else "their objects"
+        way = {"surface": "their surfaces", "appearance": "their images", "objects": "their objects"}[loop.method]
         said = "may be a loop" if loop.reason is None else f"is no loop: {loop.reason}"
         text = f"submap {loop.later} in {loop.earlier}, by {way}, {loop.score:.0%} of the surface agrees: {said}"
         state.decide("loop", None, text)
