@@ -87,6 +87,7 @@ def test_where_the_graph_knows_too_little_the_objects_tell():
 
 
 CAMERA = Camera(width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
+HERE = np.eye(4)
 # z forward, y down, along x of the world.
 LOOKING = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -98,15 +99,12 @@ def poster(seed):
     return points, rng.integers(0, 256, (80, 32), dtype=np.uint8)
 
 
-def looks(poster, y_m, yaw_deg=0.0, own_from_world=None):
+def looks(poster, y_m, yaw_deg=0.0, own_from_world=HERE):
     """The keyframe of a camera that looks at a poster, in a frame of its own."""
-    turn = yaw_rotation(np.radians(yaw_deg)) @ LOOKING
-    world_from_camera = from_rotation_translation(turn, np.array([1.0, y_m, 1.2]))
-    points, descriptors = poster
-    return Keypoints(
-        camera=CAMERA, world_from_camera=compose(np.eye(4) if own_from_world is None else own_from_world,
-        world_from_camera), descriptors=descriptors, points=apply(invert(world_from_camera), points).astype(np.float32),
-    )  # fmt: skip
+    pose = from_rotation_translation(yaw_rotation(np.radians(yaw_deg)) @ LOOKING, np.array([1.0, y_m, 1.2]))
+    points = apply(invert(pose), poster[0]).astype(np.float32)
+    placed = compose(own_from_world, pose)
+    return Keypoints(camera=CAMERA, world_from_camera=placed, descriptors=poster[1], points=points)
 
 
 def after_jump(earlier, later, far, seen=1):
