@@ -1,11 +1,13 @@
-"""The pose graph in GTSAM: factors, start values, marginals, and graduated non-convexity; the one importer of GTSAM.
+"""The pose graph in GTSAM: factors, start values, covariances, and graduated non-convexity; the one importer of GTSAM.
 
-Its wheel runs on one thread: the same factors give the same bits, but for the C library's sine and cosine, which
+Nodes are eliminated one by one. GTSAM's multifrontal elimination joins nodes, and calls them indeterminate where the
+certainty of their axes differs by more than 2^12: so does a jump beside a surely measured edge some metres long. Its
+wheel runs on one thread: the same factors give the same bits, but for the C library's sine and cosine, which
 `settled` rounds. Graduated non-convexity with truncated least squares (Yang et al., RA-L 2020): a factor counts up to a
 limit of its squared residual; weights begin with those of a smooth cost and sharpen until each is 0 or 1.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -81,7 +83,7 @@ class Factors:
         """Return the values of least squares over all factors; raises RuntimeError."""
         parameters = self._gtsam.LevenbergMarquardtParams()
         parameters.setOrderingType("COLAMD")
-        parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
+        parameters.setLinearSolverType("SEQUENTIAL_CHOLESKY")
         return self._gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, parameters).optimize()
 
     def judged(self, doubted: Sequence[int], limit_chi2: float) -> tuple[NDArray[np.float64], Any]:
@@ -102,7 +104,7 @@ class Factors:
             for place, factor, root, weight in zip(doubted, factors, roots, np.sqrt(weights), strict=True):
                 model = self._gtsam.noiseModel.Gaussian.SqrtInformation(weight * root)
                 weighted.replace(place, factor.cloneWithNewNoiseModel(model))
-            values = values.retract(weighted.linearize(values).optimize(ordering))
+            values = values.retract(weighted.linearize(values).eliminateSequential(ordering).optimize())
         return weights, values
 
     def surprises(self, asked: Sequence[int], left_out: Collection[int], values: Any) -> NDArray[np.float64]:
@@ -117,12 +119,12 @@ class Factors:
         for place in range(linear.size()):
             if place not in left_out:
                 others.push_back(linear.at(place))
-        without = others.error(others.optimize(ordering))
+        without = others.error(others.eliminateSequential(ordering).optimize())
         rises = []
         for place in asked:
             joined = others.clone()
             joined.push_back(linear.at(place))
-            rises.append(2.0 * (joined.error(joined.optimize(ordering)) - without))
+            rises.append(2.0 * (joined.error(joined.eliminateSequential(ordering).optimize()) - without))
         return np.array(rises)
 
     def chi2(self, place: int, values: Any) -> float:
@@ -133,12 +135,14 @@ class Factors:
         """Return the squared residuals of all factors."""
         return 2.0 * float(self.graph.error(values))
 
-    def marginals(self, poses: NDArray[np.float64]) -> Any:
-        """Return GTSAM's marginals at poses (N, 4, 4) of nodes 0 to N - 1; raises RuntimeError if one is left open."""
+    def marginals(self, poses: NDArray[np.float64]) -> "Marginals":
+        """Return the marginals at poses (N, 4, 4) of nodes 0 to N - 1; raises RuntimeError if one is left open."""
         values = self._gtsam.Values()
         for node, pose in enumerate(poses):
             values.insert(node, self._gtsam.Pose3(pose))
-        return self._gtsam.Marginals(self.graph, values)
+        ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
+        root = self.graph.linearize(values).eliminateSequential(ordering)
+        return Marginals(root, values.zeroVectors(), self._gtsam.VectorValues)
 
     def _between(self, a: int, b: int, a_from_b: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
         noise = self._gtsam.noiseModel.Gaussian.Covariance(covariance)
@@ -147,6 +151,26 @@ class Factors:
     def _add(self, factor: Any) -> int:
         self.graph.add(factor)
         return int(self.graph.size()) - 1
+
+
+class Marginals:
+    """Covariances of small motions of nodes, from the root R of the information R'R."""
+
+    def __init__(self, root: Any, zero: Any, vectors: Any) -> None:
+        self._root, self._zero, self._vectors = root, zero, vectors
+
+    def covariance(self, motion: Mapping[int, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return (6, 6) of a motion J, a sum of its nodes' small motions by (6, 6)."""
+        # It is Y'Y, where R'Y = J'. The difference of two nodes beyond a jump keeps its digits, which the difference of
+        # their own covariances would lose.
+        parts = np.empty((6, self._zero.vector().size))
+        for axis in range(6):
+            right, own = self._vectors(self._zero), self._vectors()
+            for node, matrix in motion.items():
+                own.insert(node, matrix[axis])
+            right.update(own)
+            parts[axis] = self._root.backSubstituteTranspose(right).vector()
+        return portable.matmul(parts, parts.T)
 
 
 def poses_of(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:

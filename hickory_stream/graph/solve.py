@@ -18,7 +18,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.chain import Chain
 from hickory_stream.graph.config import GraphConfig
-from hickory_stream.graph.factors import LoopEdge, PoseGraph, adjoint, symmetric
+from hickory_stream.graph.factors import LoopEdge, PoseGraph, adjoint
 from hickory_stream.graph.gate import surprise_of
 from hickory_stream.graph.gtsam_solver import Factors, poses_of, settled
 from hickory_stream.graph.solution import NoSolution, RejectedLoop, Solution
@@ -55,13 +55,14 @@ def solve(
 
 def node_covariances(solution: Solution) -> NDArray[np.float64]:
     """Return (N, 6, 6) the covariance of each node relative to node 0, in its frame."""
-    nodes = range(len(solution.world_from_node))
-    return np.array([symmetric(solution.marginals.marginalCovariance(i)) for i in nodes])
+    return np.array([solution.marginals.covariance({i: np.eye(6)}) for i in range(len(solution.world_from_node))])
 
 
 def relative_covariances(solution: Solution, pairs: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
     """Return (P, 6, 6) the covariance of `a_from_b` of pairs (a, b), in the frame of b."""
-    return np.array([_relative(solution, a, b) for a, b in pairs]).reshape(-1, 6, 6)
+    world_from = solution.world_from_node
+    motions = [_between(world_from, a, b) for a, b in pairs]
+    return np.array([solution.marginals.covariance(motion) for motion in motions]).reshape(-1, 6, 6)
 
 
 def _possible(graph: PoseGraph, chain: Chain) -> tuple[list[LoopEdge], dict[int, str]]:
@@ -165,11 +166,8 @@ def _whole(graph: PoseGraph, loops: Sequence[LoopEdge], start: NDArray[np.float6
     return factors, [factors.add_loop(loop) for loop in loops]
 
 
-def _relative(solution: Solution, a: int, b: int) -> NDArray[np.float64]:
+def _between(world_from_node: NDArray[np.float64], a: int, b: int) -> dict[int, NDArray[np.float64]]:
     if a == b:
-        return np.zeros((6, 6))
-    joint = solution.marginals.jointMarginalCovariance([a, b])
-    carry = adjoint(portable.matmul(invert(solution.world_from_node[b]), solution.world_from_node[a]))
-    across = portable.matmul(carry, joint.at(a, b))
-    own = portable.matmul(portable.matmul(carry, joint.at(a, a)), carry.T)
-    return symmetric(own + joint.at(b, b) - across - across.T)
+        return {}
+    b_from_a = portable.matmul(invert(world_from_node[b]), world_from_node[a])
+    return {a: -adjoint(b_from_a), b: np.eye(6)}

@@ -209,6 +209,32 @@ def test_the_odometry_prediction_is_the_marginal_without_loops(walk):
     assert np.abs(difference(expected, predicted.earlier_from_later)).max() < 1e-9
 
 
+@pytest.mark.parametrize("loops", [(), (1, 3)])
+def test_a_jump_beside_sure_edges_leaves_no_place_open(loops):
+    """A certainty of 2 mrad over 9 m beside one of 3 rad: more than 2^12 apart, at which GTSAM gave up."""
+    step = from_rotation_translation(rotation_of_vector(np.array([0.02, -0.03, 1.2])), np.array([8.0, -4.0, 0.3]))
+    jump, sure = odometry_covariance(5.0, 3.0, CONFIG, jumps=1), np.diag([0.002**2] * 3 + [0.01**2] * 3)
+    edges = [
+        OdometryEdge(before=i, after=i + 1, before_from_after=step, covariance=sure if i else jump, is_jump=not i)
+        for i in range(4)
+    ]
+    found = [
+        LoopEdge(
+            id=i, earlier=0, later=later, earlier_from_later=chained(edges, 5)[later], covariance=sure,
+            method="surface", score=1.0, stamp_ns=0,
+        )
+        for i, later in enumerate(loops)
+    ]  # fmt: skip
+    poses = chained(edges, 5)
+    graph = PoseGraph(world_from_node=poses, odometry=tuple(edges), loops=tuple(found), gravity_sigma_rad=0.01)
+    answer = solved(graph)
+    assert len(answer.accepted) == len(loops)
+    sigmas_m = np.sqrt(node_covariances(answer)[1:, 3:, 3:].trace(axis1=1, axis2=2))
+    assert (sigmas_m < 0.1 if loops else sigmas_m > 30.0).all()
+    between = relative_covariances(answer, [(1, 2), (2, 3), (3, 4)])
+    assert (between.diagonal(axis1=1, axis2=2) <= sure.diagonal() * 1.001).all()
+
+
 def test_errors_are_within_the_claimed_uncertainty(walk):
     answer = solved(walk.graph)
     errors = [
