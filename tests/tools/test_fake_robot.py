@@ -74,6 +74,14 @@ def test_a_restart_zeroes_all_stamps_and_an_offset_moves_them(log):
             assert abs(stamp_ns - START_NS + 120e9) < 2e9
 
 
+def test_stamps_go_on_when_a_log_is_played_again(log):
+    once = [serialized_stamp_ns(s.due.topic, s.data) for s in plan(prepared([log]), Faults()).sendings]
+    sent = [s for s in plan(prepared([log], loops=3), Faults()).sendings if s.due.topic.name == "/odom"]
+    found = [serialized_stamp_ns(s.due.topic, s.data) for s in sent]
+    assert found == sorted(set(found))
+    assert max(found) - max(once) == sent[-1].due.later_ns > max(once) - START_NS
+
+
 def test_the_command_writes_a_stream_and_says_what_it_sent(log, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("signal.signal", lambda *_: None)
     pipe, copy = tmp_path / "pipe", tmp_path / "copy.mcap"

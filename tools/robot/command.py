@@ -105,7 +105,7 @@ def _send(publisher: Publisher, sending: Any, report: Report) -> None:
     is_heard = publisher.is_heard(name)
     publisher.send(sending)
     (report.sent if is_heard else report.unheard)[name] += 1
-    report.num_bytes += len(sending.data) * is_heard
+    report.num_bytes += len(sending.due.data) * is_heard
 
 
 def _await_subscribers(publisher: Publisher, names: list[str], stopped: threading.Event) -> None:
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--domain", type=int, default=0, help="the ROS domain (rmw-zenoh, dds)")
     parser.add_argument("--old-bridge", action="store_true", help="a bridge before 1.5, with its publication cache")
     parser.add_argument("--rate", type=float, default=1.0, help="so many times as fast as it was recorded")
-    parser.add_argument("--loop", type=int, default=1, metavar="N", help="play it N times; stamps begin again")
+    parser.add_argument("--loop", type=int, default=1, metavar="N", help="play it N times; stamps go on")
     parser.add_argument("--seconds", type=float, metavar="S", help="only the beginning of the log")
     parser.add_argument("--wait", action="store_true", help="begin when somebody listens")
     parser.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of the messages never arrive")

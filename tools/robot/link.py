@@ -33,8 +33,14 @@ class Sending:
 
     at_ns: int
     due: Due
-    data: bytes
     sequence: int
+    #: the robot's clock is that of the log and so much more
+    by_ns: int
+
+    @property
+    def data(self) -> bytes:
+        """The message with its stamps by the robot's clock; made when asked for: a log may fill the memory once."""
+        return restamped(self.due.topic, self.due.data, self.by_ns)
 
 
 @dataclass(slots=True)
@@ -67,13 +73,11 @@ def plan(messages: Sequence[Due], faults: Faults) -> Plan:
         if reason is not None:
             made.lost[name, reason] += 1
             continue
-        by_ns = round(faults.clock_offset_s * 1e9)
+        by_ns = due.later_ns + round(faults.clock_offset_s * 1e9)
         if faults.restart_s is not None and due.due_ns >= faults.restart_s * 1e9:
             # The clock begins anew for all topics at one moment, which the first stamp after it tells.
-            by_ns = first_of.setdefault("", _zero(due))
-        made.sendings.append(
-            Sending(at_ns=at_ns, due=due, data=restamped(due.topic, due.data, by_ns), sequence=sequences[name])
-        )
+            by_ns = due.later_ns + first_of.setdefault("", _zero(due))
+        made.sendings.append(Sending(at_ns=at_ns, due=due, sequence=sequences[name], by_ns=by_ns))
     made.sendings.sort(key=lambda sending: sending.at_ns)
     return made
 
@@ -90,4 +94,4 @@ def _zero(due: Due) -> int:
     from players.messages.header_stamp import serialized_stamp_ns
 
     stamp_ns = serialized_stamp_ns(due.topic, due.data)
-    return 1_000_000_000 - (stamp_ns or 0)
+    return 1_000_000_000 - (stamp_ns or 0) - due.later_ns

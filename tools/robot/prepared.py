@@ -52,6 +52,8 @@ class Due:
     due_ns: int
     topic: Topic
     data: bytes
+    #: its log was played so long before: its stamps are so much later
+    later_ns: int = 0
 
     @property
     def is_latched(self) -> bool:
@@ -60,7 +62,7 @@ class Due:
 
 
 def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int = 1) -> list[Due]:
-    """Return the messages of a log in order, `loops` times one after the other with stamps that begin again."""
+    """Return the messages of a log in order, `loops` times one after the other with stamps that go on."""
     # Messages of ROS 1 become those of ROS 2; what is latched comes first, as a robot sends it when it starts.
     # Raises RecordingError: there is no log, or nothing in it can be published.
     log = open_container(*paths)
@@ -82,7 +84,7 @@ def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int =
     found.sort(key=lambda due: (not due.is_latched, due.due_ns))
     length_ns = max(due.due_ns for due in found) + 100_000_000
     return [
-        replace(due, due_ns=due.due_ns + i * length_ns)
+        replace(due, due_ns=due.due_ns + i * length_ns, later_ns=i * length_ns)
         for i in range(loops)
         for due in found
         if not (i and due.is_latched)
