@@ -504,15 +504,20 @@ class Submap:
         freeze(self, "world_from_submap", np.float64, (4, 4))
 
 
+# Sigmas of a jump of the odometry of unknown size.
+OPEN_JUMP_M, OPEN_JUMP_RAD = 30.0, 3.0
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class SurveyedSubmap(GivesUpArrays):
     """A submap at the time of a loop search.
 
     `anchor` (4, 4): first camera pose in its frame, the node of the pose graph. `way_m`, `turn_rad`: path length and
-    turns of the camera; `after_jump`: the odometry jumped before it. `registered` (6, 6): covariance of its least
-    certain keyframe, or None. `blind`, `unfixed` (6, 6): path lengths without information of odometry, of registration
-    (`mapping/entities/submaps.py`), None: zero. `points`, unit `normals` (N, 3): its surface; `free`: sorted keys of
-    free voxels of `voxel_m`. `keypoints`: of its keyframes.
+    turns of the camera; `after_jump`: the odometry jumped before it, which leaves `jump_m`, `jump_rad` (1 sigma) open.
+    `registered` (6, 6): covariance of its least certain keyframe, or None. `blind`, `unfixed` (6, 6): path lengths
+    without information of odometry, of registration (`mapping/entities/submaps.py`), None: zero. `points`, unit
+    `normals` (N, 3): its surface; `free`: sorted keys of free voxels of `voxel_m`. `keypoints`: of its
+    keyframes.
     """
 
     id: int
@@ -529,6 +534,8 @@ class SurveyedSubmap(GivesUpArrays):
     blind: NDArray[np.float64] | None = None
     unfixed: NDArray[np.float64] | None = None
     keypoints: tuple[Keypoints, ...] = ()
+    jump_m: float = OPEN_JUMP_M
+    jump_rad: float = OPEN_JUMP_RAD
 
     def __post_init__(self) -> None:
         whole_number(self.id, "submap")

@@ -27,9 +27,6 @@ _TURN_SHARE = 0.005
 _REGISTERED_FACTOR = 4.0
 # Error as a share of the path, and of the turn, along which scans did not constrain the motion.
 DEGENERATE_SHARE = 0.3
-# What is left open where the odometry jumped.
-_JUMP_M = 30.0
-_JUMP_RAD = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -40,7 +37,7 @@ class OdometryEdge:
     after: int
     before_from_after: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    #: the odometry jumped in between, or the path is unknown; the covariance is very wide
+    #: the odometry jumped in between, or the path is unknown
     is_jump: bool = False
 
     def __post_init__(self) -> None:
@@ -101,18 +98,19 @@ class PoseGraph:
 
 
 def odometry_covariance(
-    way_m: float, turn_rad: float, config: GraphConfig, *, jumps: int = 0, blind: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+    way_m: float, turn_rad: float, config: GraphConfig, *,
+    jump_m: float = 0.0, jump_rad: float = 0.0, blind: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:  # fmt: skip
     """Return the (6, 6) covariance of an edge of odometry by the length and the turns of its path.
 
-    `jumps`: number of jumps of the odometry; one leaves the edge nearly free. `blind` (6, 6): lengths of the path,
-    along the axes of the second node, that scans did not constrain: turns (rad) and shifts (m); None: of no length.
+    `jump_m`, `jump_rad`: what a jump of the odometry leaves open. `blind` (6, 6): lengths of the path, along the axes
+    of the second node, that scans did not constrain: turns (rad) and shifts (m); None: of no length.
     """
-    turns = (_FLOOR_RAD, config.turn_drift_per_m * way_m, _TURN_SHARE * turn_rad)
-    variance_m = sum(value * value for value in (FLOOR_M, config.drift_share * way_m))
+    turns = (_FLOOR_RAD, config.turn_drift_per_m * way_m, _TURN_SHARE * turn_rad, jump_rad)
+    variance_m = sum(value * value for value in (FLOOR_M, config.drift_share * way_m, jump_m))
     variance_rad = sum(value * value for value in turns)
-    variance_m += config.path_noise * config.path_noise * way_m + jumps * _JUMP_M * _JUMP_M
-    variance_rad += _TURN_NOISE * _TURN_NOISE * way_m + jumps * _JUMP_RAD * _JUMP_RAD
+    variance_m += config.path_noise * config.path_noise * way_m
+    variance_rad += _TURN_NOISE * _TURN_NOISE * way_m
     covariance = np.diag([variance_rad] * 3 + [variance_m] * 3)
     if blind is None:
         return covariance

@@ -50,6 +50,14 @@ class Node(Protocol):
         """Whether the odometry jumped before it."""
 
     @property
+    def jump_m(self) -> float:
+        """How far the jump leaves its place open (1 sigma)."""
+
+    @property
+    def jump_rad(self) -> float:
+        """The same of its turn."""
+
+    @property
     def registered(self) -> NDArray[np.float64] | None:
         """The covariance (6, 6) of its least certain keyframe, along the map's axes; None: not all were registered."""
 
@@ -101,7 +109,8 @@ def _edge_covariance(submap: Node, after: Node, config: GraphConfig) -> NDArray[
     # By registration if that is more certain than the path; what registration did not see counts as by the path.
     anchor = _anchor(after)
     blind = None if submap.blind is None else along_axes_of(anchor, submap.blind)
-    by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, jumps=int(after.after_jump), blind=blind)
+    jump = {"jump_m": after.jump_m, "jump_rad": after.jump_rad} if after.after_jump else {}
+    by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, blind=blind, **jump)
     if submap.registered is None or after.after_jump:
         return by_way
     by_surface = registered_covariance(submap.registered, anchor)

@@ -26,8 +26,8 @@ def test_odometry_is_wider_along_what_scans_left_open():
     wider = factors.odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
     assert along @ wider @ along == pytest.approx((factors.DEGENERATE_SHARE * 5.0) ** 2)
     assert np.abs(wider @ np.array([0.0, 0.0, 0.0, -0.8, 0.6, 0.0])).max() == pytest.approx(0.0, abs=1e-12)
-    jumped = factors.odometry_covariance(5.0, 0.2, CONFIG, jumps=1)
-    assert np.sqrt(jumped[3, 3]) > 29
+    jumped = factors.odometry_covariance(5.0, 0.2, CONFIG, jump_m=29.0, jump_rad=2.9)
+    assert np.sqrt(jumped[3, 3]) > 29.0
     assert np.sqrt(jumped[2, 2]) > 2.9
 
 

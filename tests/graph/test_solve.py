@@ -170,7 +170,7 @@ def test_a_jump_is_mended_by_loops_across_it(yaw_rad):
     edges = []
     for edge in walk.graph.odometry:
         if edge.after == middle:
-            covariance = odometry_covariance(3.0, 0.0, CONFIG, jumps=1)
+            covariance = odometry_covariance(3.0, 0.0, CONFIG, jump_m=30.0, jump_rad=3.0)
             edge = replace(edge, before_from_after=edge.before_from_after @ jump, covariance=covariance, is_jump=True)
         edges.append(edge)
     graph = replace(walk.graph, odometry=tuple(edges), world_from_node=chained(edges, 60))
@@ -213,7 +213,10 @@ def test_the_odometry_prediction_is_the_marginal_without_loops(walk):
 def test_a_jump_beside_sure_edges_leaves_no_place_open(loops):
     """A certainty of 2 mrad over 9 m beside one of 3 rad: more than 2^12 apart, at which GTSAM gave up."""
     step = from_rotation_translation(rotation_of_vector(np.array([0.02, -0.03, 1.2])), np.array([8.0, -4.0, 0.3]))
-    jump, sure = odometry_covariance(5.0, 3.0, CONFIG, jumps=1), np.diag([0.002**2] * 3 + [0.01**2] * 3)
+    jump, sure = (
+        odometry_covariance(5.0, 3.0, CONFIG, jump_m=30.0, jump_rad=3.0),
+        np.diag([0.002**2] * 3 + [0.01**2] * 3),
+    )
     edges = [
         OdometryEdge(before=i, after=i + 1, before_from_after=step, covariance=sure if i else jump, is_jump=not i)
         for i in range(4)

@@ -268,7 +268,20 @@ def test_an_addition_to_space_follows_the_open_submaps_floor():
     two = with_seen(travelled(one, camera_at(20.0), 0, SubmapConfig()), step)
     assert [state.space.floor_z_m for state in two.states] == [0.0, two.space.floor_z_m]
     assert add(one.space, step).floor_z_m == two.space.floor_z_m
-    assert after_pose_jump(two).space.floor_z_m is None
+    assert after_pose_jump(two, np.eye(4), 0.2).space.floor_z_m is None
+
+
+def test_a_jump_leaves_open_what_it_is_long_where_the_camera_is():
+    """A turn about the origin moves a camera that is 20 m away; of an unknown jump (the identity) all is open."""
+    far = travelled(first_submap(0.05), camera_at(20.0), 0, SubmapConfig())
+    turned = from_rotation_translation(yaw_rotation(0.02), np.zeros(3))
+    small, later, unknown = (
+        after_pose_jump(far, jump, gap_s).states[-1] for jump, gap_s in ((turned, 0.2), (turned, 4.0), (np.eye(4), 0.2))
+    )
+    assert 0.2 <= small.jump_m < 0.3
+    assert 0.01 <= small.jump_rad < 0.1
+    assert small.jump_m + 1.0 < later.jump_m < unknown.jump_m
+    assert unknown.jump_rad >= 3.0
 
 
 def test_a_floor_found_to_be_a_table_is_none_in_older_submaps():

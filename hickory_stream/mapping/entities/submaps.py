@@ -35,7 +35,14 @@ from hickory_stream.mapping.entities.observed_space import (
     without_floor,
 )
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface, no_surface, surface_points, with_points
-from hickory_stream.records import Keypoints, SpaceObservation, Submap, SurveyedSubmap
+from hickory_stream.records import (
+    OPEN_JUMP_M,
+    OPEN_JUMP_RAD,
+    Keypoints,
+    SpaceObservation,
+    Submap,
+    SurveyedSubmap,
+)
 
 
 def longer(
@@ -67,6 +74,9 @@ _MOST_BESIDE_M = 8.0
 # The odometry's drift within a submap: a share of the path, and a length for each radian that the camera turned.
 _DRIFT_SHARE = 0.01
 _DRIFT_PER_RAD_M = 0.005
+# Sigma across a jump of the odometry, by the jump's size and by the time over which motion was predicted.
+_JUMP_SHARE = 0.5
+_PREDICTED_MPS, _PREDICTED_RADPS = 0.3, 0.15
 # The voxel size of a submap's surface, in which loops are searched, and the greatest depth of its points.
 _SURFACE_M = 0.08
 _SURFACE_RANGE_M = 5.0
@@ -104,6 +114,9 @@ class SubmapState:
     way_m: float = 0.0
     turn_rad: float = 0.0
     after_jump: bool = False
+    #: sigmas of its place and turn after the jump
+    jump_m: float = OPEN_JUMP_M
+    jump_rad: float = OPEN_JUMP_RAD
     #: covariance (6, 6) of its least certain keyframe; None if `is_loose`
     registered: NDArray[np.float64] | None = None
     #: one of its keyframes is not registered: the odometry alone places it
@@ -233,14 +246,25 @@ def interrupted(submaps: Submaps) -> Submaps:
     return replace(submaps, last_pose=None)
 
 
-def after_pose_jump(submaps: Submaps) -> Submaps:
-    """Return the submaps after a jump of the odometry: with a new one, unless the open one has no keyframe."""
+def after_pose_jump(submaps: Submaps, after_from_before: NDArray[np.float64], gap_s: float) -> Submaps:
+    """Return the submaps after a jump of the odometry: with a new one, unless the open one has no keyframe.
+
+    `gap_s`: time since the last keyframe, in which the odometry was predicted; the identity is a jump of unknown size.
+    """
     if submaps.states[-1].anchor is None:
         return submaps
+    sigmas = {}
+    if submaps.last_pose is not None and not np.array_equal(after_from_before, np.eye(4)):
+        # A loop closure of the odometry leaves the prediction right. Where a lost track was found, all of the jump is
+        # missing in it.
+        moved = compose(invert(submaps.last_pose), after_from_before, submaps.last_pose)
+        jump_m = _JUMP_SHARE * portable.norm(moved[:3, 3]) + _PREDICTED_MPS * gap_s
+        jump_rad = _JUMP_SHARE * rotation_angle_rad(moved[:3, :3]) + _PREDICTED_RADPS * gap_s
+        sigmas = {"jump_m": min(jump_m, OPEN_JUMP_M), "jump_rad": min(jump_rad, OPEN_JUMP_RAD)}
     space, after = empty_space(submaps.space.voxel_m), submaps.open_id + 1
     submaps = replace(submaps, space=space, window=None, first=after, since_jump=after, last_pose=None)
     submaps = replace(submaps, owned=_NO_KEYS, owners=np.empty(0, np.int32))
-    return _with_open(_opened(submaps), after_jump=True)
+    return _with_open(_opened(submaps), after_jump=True, **sigmas)
 
 
 def looking_at(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
@@ -351,6 +375,8 @@ def surveyed(state: SubmapState) -> SurveyedSubmap:
             way_m=state.way_m,
             turn_rad=state.turn_rad,
             after_jump=state.after_jump,
+            jump_m=state.jump_m,
+            jump_rad=state.jump_rad,
             registered=state.registered,
             blind=state.blind,
             unfixed=state.unfixed,

@@ -41,7 +41,8 @@ def jump(state: MapState, event: PoseJumped) -> None:
     """Close the submap: the odometry has jumped."""
     # Later poses are in the same world frame, so objects can be re-identified. The observed space starts empty: an
     # error of a few centimetres in the jump would see through an object, or place it inside a wall.
-    state.submaps = submaps.after_pose_jump(state.submaps)
+    gap_s = (event.stamp_ns - (state.stamp_ns or event.stamp_ns)) / 1e9
+    state.submaps = submaps.after_pose_jump(state.submaps, event.after_from_before, max(gap_s, 0.0))
     state.split_candidates = {}
     now_id, distance_m = state.submaps.open_id, portable.norm(event.after_from_before[:3, 3])
     state.decide("pose_jump", None, f"the odometry jumped by {distance_m:.2f} m: submap {now_id} begins")
