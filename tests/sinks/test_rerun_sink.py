@@ -133,13 +133,17 @@ def test_a_moved_map_is_logged_again_with_layers_and_walls(tmp_path):
     rows = rows_of(play(tmp_path, change=moved))
     still = rows_of(play(tmp_path))
     columns = {"layer1/1/points": "Points3D:positions"}
-    columns |= {f"layer{layer}/1": "Mesh3D:vertex_positions" for layer in (2, 3, 4)}
     columns |= {"structure/floor": "Points3D:positions", "structure/walls/0": "Mesh3D:vertex_positions"}
     for path, column in columns.items():
         there, here = (np.array(found[f"/world/{path}"][-1][column]).reshape(-1, 3) for found in (rows, still))
         np.testing.assert_allclose(there, apply(move, here), atol=1e-5)
-    for layer in (2, 3, 4):
-        assert [row["frame"] for row in rows[f"/world/layer{layer}/1"]][-1] == first_moved
+    for layer in (2, 3, 4):  # meshes stay as they are, and their pose moves them
+        mesh, pose = rows[f"/world/layer{layer}/1"]
+        assert (mesh["Mesh3D:vertex_positions"], pose["frame"]) == (
+            still[f"/world/layer{layer}/1"][-1]["Mesh3D:vertex_positions"], first_moved,
+        )  # fmt: skip
+        np.testing.assert_allclose(np.reshape(pose["Transform3D:mat3x3"], (3, 3)).T, move[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(np.ravel(pose["Transform3D:translation"]), move[:3, 3], atol=1e-6)
 
 
 def test_every_object_has_a_thumbnail_of_its_best_view(tmp_path, rows):
@@ -275,6 +279,13 @@ def test_a_file_at_its_cap_gets_light_data_only(tmp_path, caplog):
     assert len(rows["/plots/time/segment"]) == 40 // KEYFRAME_EVERY
     assert len(rows.get("/world/camera/color", [])) < 40
     assert [r.levelname for r in caplog.records if "cap" in r.message] == ["WARNING"]
+
+
+def test_from_half_of_its_cap_on_a_file_has_images_of_keyframes(tmp_path, monkeypatch):
+    monkeypatch.setattr("hickory_stream.sinks.rerun.file.RrdFile._num_bytes", lambda _: 600_000_000)
+    rows = rows_of(play(tmp_path, num_frames=9))
+    assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 4, 8]
+    assert len(rows["/world/camera"]) == 9
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from hickory_stream.base.ranges import Ranged, number
 class RerunConfig(Ranged):
     """What is shown, and how much of it."""
 
-    #: Size at which the file gets no more images, clouds and meshes.
+    #: Size at which the file gets no more images, clouds and meshes; half of it ends colour between keyframes.
     rrd_cap_mb: float = number(1000.0, 0.001, 1e7, "MB")
     #: A larger cloud is thinned evenly.
     max_points_per_object: int = number(3000, 1, 100_000_000, "points")

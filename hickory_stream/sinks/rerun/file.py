@@ -10,6 +10,8 @@ from hickory_stream.sinks.rerun.piped_file import PipedFile
 
 # Fewer and larger pieces than the SDK would write: each costs about a kilobyte beside what is in it.
 _BATCH_S = 1.0
+# From this share of the cap on, images are those of keyframes.
+_SPARING = 0.5
 
 logger = logging.getLogger(__name__)
 
@@ -36,7 +38,8 @@ class RrdFile:
         """Write the items, only light ones beyond the cap; a disk error removes the file, raises `OutputError`."""
         if self._piped.error is not None:
             self.close()
-        if not self._is_full and self._num_bytes() >= self._cap_mb * 1e6:
+        num_bytes, cap_bytes = self._num_bytes(), self._cap_mb * 1e6
+        if not self._is_full and num_bytes >= cap_bytes:
             self._is_full = True
             logger.warning(
                 "%s has reached its cap of %g MB: images, clouds and meshes are left out from frame %d on",
@@ -44,7 +47,9 @@ class RrdFile:
                 self._cap_mb,
                 moment.frame,
             )
-        emit(self._stream, moment, (i for i in items if i.weight is Weight.LIGHT or not self._is_full))
+        # Colour between keyframes is most of a recording, and what is missed least.
+        is_spare = self._is_full or (moment.keyframe is None and num_bytes >= _SPARING * cap_bytes)
+        emit(self._stream, moment, (i for i in items if i.weight is Weight.LIGHT or not is_spare))
 
     def close(self) -> None:
         """Write the buffer and the footer; raises `OutputError` on a disk error, once, and removes the file."""

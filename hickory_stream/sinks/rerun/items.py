@@ -51,6 +51,11 @@ class LogItem:
     span: Span = Span.MOMENT
     is_clear: bool = False
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """What a later item replaces: a pose, for example, leaves the mesh of its entity."""
+        return self.path, type(self.archetypes[0]).__name__
+
 
 def clear_item(path: str) -> LogItem:
     """Return the item that empties an entity and everything below it."""

@@ -36,15 +36,15 @@ class Entry:
 class LiveQueue:
     """A bounded queue that drops the oldest heavy entry first.
 
-    It keeps the last item of each lasting entity: dropped ones are sent when the queue is empty, all of them to a late
+    It keeps the last items of each lasting entity: dropped ones are sent when the queue is empty, all of them to a late
     viewer. The map bounds that memory.
     """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
         self._entries: deque[Entry] = deque()
-        self._latest: dict[str, Entry] = {}
-        self._missing: set[str] = set()
+        self._latest: dict[tuple[str, str], Entry] = {}
+        self._missing: set[tuple[str, str]] = set()
         self._changed = threading.Condition()
         self._dropped: Counter[Weight] = Counter()
 
@@ -68,9 +68,9 @@ class LiveQueue:
             if self._entries:
                 return self._entries.popleft()
             if self._missing:
-                path = min(self._missing)
-                self._missing.remove(path)
-                return self._latest[path]
+                key = min(self._missing)
+                self._missing.remove(key)
+                return self._latest[key]
             return None
 
     def start_over(self) -> None:
@@ -86,13 +86,13 @@ class LiveQueue:
     def _remember(self, entry: Entry) -> None:
         for item in entry.items:
             if item.is_clear:
-                below = [path for path in self._latest if path == item.path or path.startswith(item.path + "/")]
-                for path in below:
-                    del self._latest[path]
+                below = [key for key in self._latest if f"{key[0]}/".startswith(f"{item.path}/")]
+                for key in below:
+                    del self._latest[key]
                 self._missing.difference_update(below)
             if item.span is not Span.MOMENT:
-                self._latest[item.path] = Entry(moment=entry.moment, items=(item,), weight=item.weight)
-                self._missing.discard(item.path)
+                self._latest[item.key] = Entry(moment=entry.moment, items=(item,), weight=item.weight)
+                self._missing.discard(item.key)
 
     def _drop_one(self) -> None:
         heavy = (i for i, entry in enumerate(self._entries) if entry.weight is Weight.HEAVY)
@@ -101,9 +101,9 @@ class LiveQueue:
         del self._entries[index]
         self._dropped[entry.weight] += 1
         for item in entry.items:
-            latest = self._latest.get(item.path)
+            latest = self._latest.get(item.key)
             if latest is not None and latest.items[0] is item:
-                self._missing.add(item.path)
+                self._missing.add(item.key)
 
 
 class LiveFeed:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.display import color_of_id, shaded
-from hickory_stream.geometry.rigid import quaternion_from_rotation
+from hickory_stream.geometry.rigid import compose, invert, quaternion_from_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.records import ObjectShape, Phase, TrackedObject, kind_text
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
@@ -34,10 +34,13 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Shown:
-    # Last logged state of an object; `cloud_of` has the logged cloud, of the stamp `cloud_ns`.
+    # Last logged state of an object; `cloud_of` has the logged cloud, of the stamp `cloud_ns`. The meshes were logged
+    # where the object was at `laid`; `is_moved`: a pose places them elsewhere since then.
     object: TrackedObject
     cloud_of: TrackedObject
     cloud_ns: int
+    laid: NDArray[np.float64] | None = None
+    is_moved: bool = False
 
 
 class ObjectLayers:
@@ -64,11 +67,18 @@ class ObjectLayers:
             items += self._changed_cloud(seen, shown, stamp_ns)
             if shown is None or not _same_box(seen, shown.object):
                 items += _box_items(seen)
+            now = replace(self._shown[seen.id], object=seen)
             if seen.shape is not None and (shown is None or not _same_shape(seen, shown.object)):
+                if now.is_moved:
+                    items += _pose_items(seen.id, np.eye(4))
                 items += self._shape_items(seen, seen.shape)
+                now = replace(now, laid=seen.shape.world_from_object, is_moved=False)
+            elif seen.shape and shown and now.laid is not None and not _is_at(seen, shown.object):
+                items += _pose_items(seen.id, compose(seen.shape.world_from_object, invert(now.laid)))
+                now = replace(now, is_moved=True)
             elif seen.sketch is not None and (shown is None or shown.object.sketch is not seen.sketch):
                 items.append(_sketch_item(seen, seen.sketch))
-            self._shown[seen.id] = replace(self._shown[seen.id], object=seen)
+            self._shown[seen.id] = now
         return items
 
     def finish(self) -> list[LogItem]:
@@ -98,7 +108,8 @@ class ObjectLayers:
         if shown is not None and _same_cloud(seen, shown.cloud_of):
             self._shown[seen.id] = replace(shown, cloud_of=seen)
             return []
-        self._shown[seen.id] = _Shown(object=seen, cloud_of=seen, cloud_ns=stamp_ns)
+        fresh = _Shown(object=seen, cloud_of=seen, cloud_ns=stamp_ns)
+        self._shown[seen.id] = fresh if shown is None else replace(shown, cloud_of=seen, cloud_ns=stamp_ns)
         return [_cloud_item(seen, self._max_points)]
 
     def _textured_items(self) -> list[LogItem]:
@@ -113,6 +124,8 @@ class ObjectLayers:
                 continue
             path = f"{MESH_LAYER}/{object_id}"
             items.append(LogItem(path=path, archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING))
+            if shown.is_moved:
+                items += _pose_items(object_id, np.eye(4))[:1]
         return items
 
     def _shape_items(self, seen: TrackedObject, shape: ObjectShape) -> list[LogItem]:
@@ -130,6 +143,15 @@ class ObjectLayers:
             LogItem(path=f"{layer}/{object_id}", archetypes=shown, weight=Weight.HEAVY, span=Span.LASTING)
             for layer, shown in layers
         ]
+
+
+def _pose_items(object_id: int, after_from_before: NDArray[np.float64]) -> list[LogItem]:
+    """Return the pose of layers 2 to 4 against where they were logged: a correction moves shapes that stay as they are.
+
+    Layer 2 is the first.
+    """
+    pose = rr.Transform3D(translation=after_from_before[:3, 3], mat3x3=after_from_before[:3, :3])
+    return [LogItem(path=f"{layer}/{object_id}", archetypes=(pose,), span=Span.LASTING) for layer in LAYERS[1:]]
 
 
 def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
@@ -192,11 +214,18 @@ def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
 
 
 def _same_shape(one: TrackedObject, other: TrackedObject) -> bool:
-    # Same shape at the same pose, in the same colour: a corrected submap moves its shapes.
+    # In the same colour, at any pose.
     a, b = one.shape, other.shape
-    if a is None or b is None or one.kind is not other.kind:
-        return False
-    return a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
+    return a is not None and b is not None and one.kind is other.kind and a.revision == b.revision
+
+
+def _is_at(one: TrackedObject, other: TrackedObject) -> bool:
+    # Whether the same shape is at the same pose: a corrected submap moves its shapes.
+    return (
+        one.shape is not None
+        and other.shape is not None
+        and _same(one.shape.world_from_object, other.shape.world_from_object)
+    )
 
 
 def _same_cloud(a: TrackedObject, b: TrackedObject) -> bool:
