@@ -65,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
+    # It would log every instruction that it compiles.
+    logging.getLogger("numba").setLevel(logging.WARNING)
     stop_notices = on_compile(CompileNotice(as_json=getattr(options, "json", False)))
     try:
         refuse_taken(outputs_of(options), overwrite=getattr(options, "overwrite", False))
