@@ -80,8 +80,8 @@ class LoopCloser:
             logger.warning("loops are left out: %s", solution.reason)
             return None
         record = graph_record(graph, solution, core.loops, began_ns)
-        places = submap_places(submaps, solution.world_from_node)
         before = [submap.world_from_submap for submap in submaps]
+        places = submap_places(submaps, solution.world_from_node, before)
         if not is_correction(submaps, places, before):
             return PosesCorrected(stamp_ns=stamp_ns, submap_ids=(), world_from_submap=np.empty((0, 4, 4)), graph=record)
         # A submap that was opened and has no keyframe yet goes on from the last one.

@@ -150,10 +150,16 @@ def world_from_submaps(submaps: Sequence[Node], world_from_node: NDArray[np.floa
     return [compose(pose, invert(_anchor(submap))) for submap, pose in zip(submaps, world_from_node, strict=True)]
 
 
-def submap_places(submaps: Sequence[Node], world_from_node: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return world_from_submap (4, 4) of each submap in a solution."""
+def submap_places(
+    submaps: Sequence[Node], world_from_node: NDArray[np.float64], before: Sequence[NDArray[np.float64]]
+) -> list[NDArray[np.float64]]:
+    """Return world_from_submap (4, 4) of each submap in a solution; one that hardly moves stays where it was `before`.
+
+    What was found about two submaps that both stay is known.
+    """
     # A submap that moves against the next one by less than the map resolves gets its very pose: one piece stays one.
-    places = world_from_submaps(submaps, world_from_node)
+    solved = zip(submaps, world_from_submaps(submaps, world_from_node), before, strict=True)
+    places = [then if _is_same(now, then, _anchor(submap)) else now for submap, now, then in solved]
     for i in range(len(places) - 2, -1, -1):
         if _is_same(places[i], places[i + 1], _anchor(submaps[i + 1])):
             places[i] = places[i + 1]

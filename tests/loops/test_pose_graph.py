@@ -31,7 +31,7 @@ STAMPS = [10 * i for i in range(5)]
 
 def test_a_loop_bends_the_path_and_holds_in_the_places():
     solution = solve(pose_graph(WALK, [HOME], STAMPS, CONFIG), CONFIG)
-    places = submap_places(WALK, solution.world_from_node)
+    places = submap_places(WALK, solution.world_from_node, [np.eye(4)] * 5)
     assert solution.accepted == (0,)
     assert np.array_equal(places[0], np.eye(4))
     between = invert(places[0]) @ places[4]
@@ -60,11 +60,14 @@ def test_submaps_that_hardly_move_against_each_other_stay_one():
     nodes = np.array([s.anchor for s in WALK])
     nodes[1, 0, 3] += 0.005
     nodes[2, 0, 3] += 0.5
-    places = submap_places(WALK, nodes)
+    before = [from_rotation_translation(np.eye(3), np.array([9.0, 0.0, 0.0])), *[np.eye(4)] * 4]
+    places = submap_places(WALK, nodes, [before[0]] * 5)
     assert places[4] is places[3]
     assert np.allclose(places[2][:3, 3], [0.5, 0, 0])
     assert np.allclose(places[1][:3, 3], [0.005, 0, 0])
     assert places[0] is places[1]
+    stays = submap_places(WALK, nodes, before)
+    assert [places is then for places, then in zip(stays, before, strict=True)] == [False, True, False, True, True]
     assert not is_correction(WALK, [places[4]] * 5, [np.eye(4)] * 5)
 
 

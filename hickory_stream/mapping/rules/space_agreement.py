@@ -120,6 +120,11 @@ def _turned(bounds: _Bounds, there_from_here: NDArray[np.float64]) -> _Bounds:
     return there.min(axis=0), there.max(axis=0)
 
 
+# By an earlier and a later space: their relative pose as bytes, and what the later one contradicts there.
+_FOUND: WeakKeyDictionary[SpaceState, WeakKeyDictionary[SpaceState, tuple[bytes, NDArray[np.int64]]]]
+_FOUND = WeakKeyDictionary()
+
+
 def _may_meet(submaps: Submaps, earlier_id: int, later_id: int) -> bool:
     # By bounds alone: in a building most submaps lie in other rooms.
     earlier, later = _reach_of(submaps.states[earlier_id]), _reach_of(submaps.states[later_id])
@@ -131,7 +136,12 @@ def _may_meet(submaps: Submaps, earlier_id: int, later_id: int) -> bool:
 
 def _after(submaps: Submaps, state: SubmapState, later_id: int, spaces: _OwnSpaces) -> SubmapState:
     assert state.outdated is not None, "of a map that was corrected"
-    found = contradicted(spaces.of(state.id), spaces.of(later_id), submaps.between(later_id, state.id))
+    later_from_here, later = submaps.between(later_id, state.id), submaps.states[later_id].seen
+    known = _FOUND.setdefault(state.seen, WeakKeyDictionary())
+    place = later_from_here.tobytes()
+    if later not in known or known[later][0] != place:
+        known[later] = place, contradicted(spaces.of(state.id), spaces.of(later_id), later_from_here)
+    found = known[later][1]
     return state if len(found) == 0 else replace(state, outdated=union(state.outdated, found))
 
 
