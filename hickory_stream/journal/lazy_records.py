@@ -22,6 +22,7 @@ from hickory_stream.mapping.entities.cloud import NAMES, Cloud, array_of, leave_
 from hickory_stream.mapping.entities.observed_space import SpaceState
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface
 from hickory_stream.mapping.entities.track import Track
+from hickory_stream.records import Keypoints
 
 Checks = Mapping[str, Callable[[Any], bool]]
 _Later = Mapping[str, Callable[[], "NDArray[Any]"]]
@@ -30,6 +31,7 @@ _ARRAYS: Mapping[type, tuple[str, ...]] = {
     PackedTrack: ("is_solid",),
     SpaceState: ("free", "hidden_free", "surface", "hits", "misses"),
     SubmapSurface: ("keys", "points", "normals", "hits"),
+    Keypoints: ("descriptors", "points"),
 }
 
 
