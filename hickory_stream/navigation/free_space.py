@@ -10,10 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.disjoint_sets import parts_of
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import bounds_of_keys
@@ -318,8 +319,11 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
     seams += [(pieces[:, 0], pieces[:, -1])] if headings > 1 else []
     pairs = [_touching_pairs(first, second) for first, second in seams]
     a, b = np.concatenate([np.empty((2, 0), np.int64), *pairs], axis=1)
-    # Blocked cells, piece 0, touch no other one.
-    return parts_of(count + 1, a, b).astype(np.int32)[pieces]
+    graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(count + 1, count + 1))
+    _, merged = connected_components(graph, directed=False)
+    # Blocked cells are the component that touches no other one: it gets the number 0.
+    numbers = np.where(merged == merged[0], 0, merged + 1).astype(np.int32)
+    return np.asarray(numbers[pieces])
 
 
 def _touching_pairs(first: NDArray[np.int32], second: NDArray[np.int32]) -> NDArray[np.int64]:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.geometry.disjoint_sets import parts_of
 
 _SIDES = np.concatenate([np.eye(3), -np.eye(3)])
 # Axes of the plane that a side looks along, so that u x v = its direction: text is not mirrored.
@@ -60,7 +61,10 @@ def neighbours(faces: NDArray[np.int32], num_vertices: int) -> NDArray[np.int64]
 def connected(pairs: NDArray[np.int64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return (F,) the numbers of the connected parts of faces with equal labels."""
     joined = pairs[labels[pairs[:, 0]] == labels[pairs[:, 1]]]
-    return np.unique(parts_of(len(labels), joined[:, 0], joined[:, 1]), return_inverse=True)[1]
+    size = len(labels)
+    graph = coo_array((np.ones(len(joined), np.int8), (joined[:, 0], joined[:, 1])), shape=(size, size))
+    _, parts = connected_components(graph, directed=False)
+    return parts.astype(np.int64)
 
 
 _GAP_PX = 2

@@ -13,15 +13,10 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.geometry.rigid import (
-    compose,
-    invert,
-    quaternion_from_rotation,
-    rotation_of_vector,
-    rotation_vector,
-)
+from hickory_stream.geometry.rigid import compose, invert, rotation_of_vector, rotation_vector
 from hickory_stream.poses.hand_eye import FLU_FROM_OPTICAL
 from hickory_stream.records import Frame, RawFrame
 from players.doctor.depth_color_alignment import lag_scores
@@ -329,10 +324,7 @@ class _Track:
     def __init__(self, stamps_ns: NDArray[np.int64], poses: Matrix) -> None:
         self.stamps_ns, self.poses, self._motions = stamps_ns, poses, dict[bytes, _Motions]()
         self._times = (stamps_ns - stamps_ns[0]).astype(np.float64)
-        turns = np.array([quaternion_from_rotation(pose[:3, :3]) for pose in poses])
-        # Of q and -q, which are one turn, the nearer to the one before.
-        turns[1:] *= np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0, -1.0, 1.0))[:, None]
-        self._columns = [*poses[:, :3, 3].T, *turns.T]
+        self._turns = Slerp(self._times, Rotation.from_matrix(poses[:, :3, :3]))
 
     def motions(self, ends_ns: NDArray[np.int64], lags_ns: NDArray[Any]) -> _Motions:
         # Turns and shifts (L, N, 3) between ends (2, N) by the poses of the lags later, and which of them are known.
@@ -347,14 +339,11 @@ class _Track:
         after = np.clip(np.searchsorted(self._times, times), 1, len(self._times) - 1)
         known &= self._times[after] - self._times[after - 1] <= _LOST_NS
         times = np.clip(times, 0, self._times[-1])
-        # Quaternions a and b (x, y, z, w) of the ends; the motion is their difference, in the frame of the first.
-        start, end = (np.stack([np.interp(t, self._times, column) for column in self._columns], -1) for t in times)
-        a, b = (q[..., 3:] / np.linalg.norm(q[..., 3:], axis=-1, keepdims=True) for q in (start, end))
-        (u, p), (v, q), shift = (a[..., :3], a[..., 3:]), (b[..., :3], b[..., 3:]), (end - start)[..., :3]
-        sines = p * v - q * u - np.cross(u, v)
-        sine, cosine = np.linalg.norm(sines, axis=-1, keepdims=True), p * q + (u * v).sum(axis=-1, keepdims=True)
-        turns = sines * 2 * np.arctan2(sine, np.abs(cosine)) * np.sign(cosine) / np.maximum(sine, 1e-12)
-        return turns, shift + 2 * np.cross(u, np.cross(u, shift) - p * shift), known.all(axis=0)
+        world_from_start, world_from_end = (self._turns(t.ravel()) for t in times)
+        start, end = (np.stack([np.interp(t, self._times, self.poses[:, i, 3]) for i in range(3)], -1) for t in times)
+        back, shape = world_from_start.inv(), start.shape
+        turns = (back * world_from_end).as_rotvec().reshape(shape)
+        return turns, back.apply((end - start).reshape(-1, 3)).reshape(shape), known.all(axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,7 +399,7 @@ def _scale_of(seen: _Seen, track: _Track, fit: _Fit) -> tuple[float | None, floa
         return None, None
     # Where the poses are those of a place l beside the camera, seen = scale (shift + (turn - 1) l): linear in scale and
     # in scale l, which few robots state. The noise is that of what was seen.
-    turned, shifts = np.array([rotation_of_vector(turn) for turn in turns[chosen]]) - np.eye(3), shifts[chosen]
+    turned, shifts = Rotation.from_rotvec(turns[chosen]).as_matrix() - np.eye(3), shifts[chosen]
     shown, moved_m = seen.shifts[chosen] @ fit.axes.T, moved_m[chosen]
     rows = np.concatenate([shifts[:, :, None], turned], axis=2)
     scale, weights = float(np.median((shown * shifts).sum(axis=1) / moved_m**2)), np.ones(len(shown))

@@ -442,30 +442,6 @@ def test_help_answers_without_loading_what_it_does_not_need(arguments):
     assert re.search(r"hickory-stream \d+\S*\n$" if arguments == ("--version",) else "hickory-stream", done.stdout)
 
 
-def test_the_first_keyframe_waits_for_no_library_that_only_later_ones_need(demo_log, tmp_path):
-    later = (
-        "rerun",
-        "trimesh",
-        "open3d",
-        "gtsam",
-        "kiss_icp",
-        "embreex",
-        "scipy.spatial",
-        "scipy.ndimage",
-        "scipy.special",
-    )
-    script = (
-        "import os, sys; from hickory_stream import progress; from hickory_stream.cli import main\n"
-        "def first(self, now):\n"
-        "    if now.keyframes:\n"
-        f"        os.write(1, ' '.join(['mapped', *(name for name in {later} if name in sys.modules)]).encode())\n"
-        "        os._exit(0)\n"
-        "progress.ProgressPrinter.__call__ = first; main(sys.argv[1:])"
-    )
-    command = (sys.executable, "-c", script, "play", demo_log, "--out", tmp_path / "map", "--viewer", "none")
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "mapped"
-
-
 @pytest.mark.parametrize("arguments", [(), ("fly",), ("play", "x", "--loop", "many")])
 def test_a_bad_command_line_exits_with_2_and_shows_the_usage(arguments):
     ended = run(*arguments)

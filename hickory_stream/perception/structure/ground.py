@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.disjoint_sets import parts_of
 from hickory_stream.perception.surface import Surface
 
 # Side of a cell of the height grid.
@@ -154,11 +155,13 @@ def _regions(z: NDArray[np.float32], slack: NDArray[np.float32], rise: np.float3
         joins = np.abs(z[here] - z[there]) <= limit + np.minimum(slack[here], slack[there])
         ends.append((index[here][joins], index[there][joins]))
     one, other = np.concatenate(ends, axis=1)
+    graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(z.size, z.size))
+    names = connected_components(graph, directed=False)[1]
     # Numbered by their first cells.
-    names = parts_of(z.size, one, other)
     has = np.flatnonzero(~np.isnan(z.ravel()))
+    _, first, inverse = np.unique(names[has], return_index=True, return_inverse=True)
     out = np.zeros(z.size, dtype=np.int32)
-    out[has] = np.unique(names[has], return_inverse=True)[1] + 1
+    out[has] = (np.argsort(np.argsort(first, kind="stable"), kind="stable") + 1)[inverse]
     return out.reshape(z.shape)
 
 
