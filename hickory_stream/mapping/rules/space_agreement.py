@@ -120,11 +120,6 @@ def _turned(bounds: _Bounds, there_from_here: NDArray[np.float64]) -> _Bounds:
     return there.min(axis=0), there.max(axis=0)
 
 
-# By an earlier and a later space: their relative pose as bytes, and what the later one contradicts there.
-_FOUND: WeakKeyDictionary[SpaceState, WeakKeyDictionary[SpaceState, tuple[bytes, NDArray[np.int64]]]]
-_FOUND = WeakKeyDictionary()
-
-
 def _may_meet(submaps: Submaps, earlier_id: int, later_id: int) -> bool:
     # By bounds alone: in a building most submaps lie in other rooms.
     earlier, later = _reach_of(submaps.states[earlier_id]), _reach_of(submaps.states[later_id])
@@ -132,6 +127,11 @@ def _may_meet(submaps: Submaps, earlier_id: int, later_id: int) -> bool:
         return False
     low, high = _turned(earlier, submaps.between(later_id, earlier_id))
     return bool((low <= later[1]).all() and (high >= later[0]).all())
+
+
+# By an earlier and a later space: their relative pose as bytes, and what the later one contradicts there.
+_ByLater = WeakKeyDictionary[SpaceState, tuple[bytes, NDArray[np.int64]]]
+_FOUND: WeakKeyDictionary[SpaceState, _ByLater] = WeakKeyDictionary()
 
 
 def _after(submaps: Submaps, state: SubmapState, later_id: int, spaces: _OwnSpaces) -> SubmapState:
