@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import arccos
+from hickory_stream.geometry.portable_kernels import arccos, arctan2
 from hickory_stream.geometry.rigid import (
     compose,
     from_rotation_translation,
@@ -22,6 +22,7 @@ from hickory_stream.geometry.rigid import (
     invert,
     rotation_of_vector,
     rotation_vector,
+    yaw_rotation,
 )
 from players.poses.interpolation import HOLD_NS, pose_of_row
 
@@ -118,7 +119,7 @@ class GrowingTrack:
             self._odd = None
             self._compare_newest(odd)
             predicted = self._predicted(odd_ns)
-            self.jumps.append(Jump(stamp_ns=odd_ns, after_from_before=compose(_pose(odd), invert(predicted))))
+            self.jumps.append(Jump(stamp_ns=odd_ns, after_from_before=_upright(_pose(odd), predicted)))
             self._keep(odd_ns, odd)
             self._keep(stamp_ns, pose)
         else:
@@ -305,6 +306,13 @@ def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, 
 
 def _pose(row: Sequence[float]) -> NDArray[np.float64]:
     return pose_of_row(np.asarray(row, dtype=np.float64))
+
+
+def _upright(after: NDArray[np.float64], before: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Both worlds have z up: a tilt would be how far a walking body pitches otherwise than predicted.
+    turn = portable.matmul(after[:3, :3], before[:3, :3].T)
+    rotation = yaw_rotation(arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    return from_rotation_translation(rotation, after[:3, 3] - portable.matmul(rotation, before[:3, 3]))
 
 
 def _is_equal(a: Sequence[float], b: Sequence[float]) -> bool:

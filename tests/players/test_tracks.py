@@ -91,6 +91,19 @@ def test_a_jump_is_told_and_bridged_and_a_walk_has_none():
         assert track.num_teleports == 0
 
 
+def test_a_jump_does_not_tilt_the_world_of_a_body_that_pitches_as_it_walks():
+    poses = []
+    for i in range(30):
+        gait = rotation_of_vector(np.array([0.0, 0.03 * np.cos(4 * np.pi * i / 7), 0.0]))
+        walked = _walk(i / 7) @ from_rotation_translation(gait, np.zeros(3))
+        poses.append((i / 7, from_rotation_translation(yaw_rotation(0.1), [2.0 * (i > 14), 0, 0]) @ walked))
+    track = _track(poses, JumpLimits())
+    (found,) = track.jumps
+    np.testing.assert_array_equal(found.after_from_before[2, :3], [0.0, 0.0, 1.0])
+    tilts = [(pose[:3, :3] @ track.at(round(t * 1e9))[:3, :3].T)[2, 2] for t, pose in poses]
+    assert np.arccos(np.clip(min(tilts), -1, 1)) < 1e-6
+
+
 def _rivals(offset_of):
     track = GrowingTrack(500 * MS, JumpLimits())
     for i in range(300):
