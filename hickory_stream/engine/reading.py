@@ -101,6 +101,8 @@ class Reader:
         self._ahead_thread = ThreadPoolExecutor(1, "ahead")
         self._masks_thread, self._features_thread = _threads(num_masks, "masks"), _threads(num_features, "features")
         self._has_worked = False
+        #: The odometry's jump before a dropped frame, for the next one that is taken.
+        self._lost_jump: NDArray[np.float64] | None = None
         self.decode_s = 0.0
         #: Losses since the last queued frame (playback).
         self.lost: Counter[str] = Counter()
@@ -130,7 +132,11 @@ class Reader:
         """Return queued frames, one in a playback, waiting for the first; None at the end."""
         try:
             if self._mode == "live":
-                return await self._channel.receive_all()
+                first, *others = await self._channel.receive_all()
+                if self._lost_jump is not None and first.raw.after_from_before is None:
+                    first = replace(first, raw=replace(first.raw, after_from_before=self._lost_jump))
+                self._lost_jump = None
+                return [first, *others]
             read = await self._channel.receive()
         except ChannelClosed:
             return None
@@ -249,8 +255,11 @@ class Reader:
                     is_candidate=wanted,
                     arrived_s=time.monotonic(),
                 )
-                if await self._channel.send(queued) is not None:
+                dropped = await self._channel.send(queued)
+                if dropped is not None:
                     self.counts["frames_dropped"] += 1
+                    if dropped.raw.after_from_before is not None:
+                        self._lost_jump = dropped.raw.after_from_before
             offset = index + 1
             last_ns = None
 

@@ -27,7 +27,7 @@ class HeldSegmenter(InstanceSegmenter):
     """Holds its first frame until it is let go."""
 
     def __init__(self):
-        super().__init__(SceneSource(NUM_FRAMES).instances)
+        super().__init__(SceneSource(5 * NUM_FRAMES).instances)
         self.go_on = threading.Event()
 
     def segment(self, frame, prior=None, prepared=None):
@@ -38,8 +38,8 @@ class HeldSegmenter(InstanceSegmenter):
 class TellingSource(SceneSource):
     """Lets a segmenter go on when it has been read to its end."""
 
-    def __init__(self, segmenter, rounds):
-        super().__init__(NUM_FRAMES)
+    def __init__(self, segmenter, rounds, num_frames=NUM_FRAMES):
+        super().__init__(num_frames)
         self._segmenter = segmenter
         self._rounds = rounds
 
@@ -48,6 +48,14 @@ class TellingSource(SceneSource):
         self._rounds -= 1
         if self._rounds == 0:
             self._segmenter.go_on.set()
+
+
+class JumpingSource(TellingSource):
+    """Its third frame tells that the odometry jumped."""
+
+    def frames(self):
+        for i, raw in enumerate(super().frames()):
+            yield replace(raw, after_from_before=np.eye(4)) if i == 2 else raw
 
 
 def fates(path):
@@ -80,6 +88,15 @@ def test_frames_during_a_busy_map_are_dropped_and_counted(tmp_path):
     assert frames["read"] == frames["keyframes"] + lost
     with Journal(tmp_path / "map") as journal:
         assert journal.step(1).frames[-1].index == 6 * NUM_FRAMES - 1
+
+
+def test_a_jump_of_a_dropped_frame_is_told_by_the_next_one(tmp_path):
+    segmenter = HeldSegmenter()
+    source = JumpingSource(segmenter, rounds=1, num_frames=5 * NUM_FRAMES)
+    map_scene(tmp_path, *NO_SHAPES, source=source, segmenter=segmenter, mode="live")
+    frames = fates(tmp_path / "map")
+    assert frames["frames_dropped"] == 5 * NUM_FRAMES - 1 - 32
+    assert frames["pose_jumps"] == 1
 
 
 def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path, monkeypatch):
