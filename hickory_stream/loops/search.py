@@ -33,7 +33,7 @@ _SAME_M, _SAME_RAD = 0.15, 0.035
 _LEAST_OBJECTS = 4
 # Minimum share of a submap's surface in the other one for them to be a candidate.
 _MIN_OVERLAP = 0.15
-# Where the graph is less sure than this of where two submaps lie, only their objects can locate them.
+# Where the graph is less sure than this of where two submaps lie, their images or objects have to locate them.
 _MAX_SIGMA_M = 0.7
 # Rooms of one plan with one poster agree to 0.97 at most if their furniture differs, and right places to more.
 _ALIKE_AGREEMENT = 0.97
