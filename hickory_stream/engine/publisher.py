@@ -9,6 +9,7 @@ import logging
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from hickory_stream.engine.frame_accounting import RunClock
 from hickory_stream.engine.modes import Progress
@@ -16,7 +17,7 @@ from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.errors import OutputError
 from hickory_stream.map_folder.history.frame_reports import in_map_frame
 from hickory_stream.ports import Sink
-from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.records import Decision, FrameReport, MapSnapshot
 
 logger = logging.getLogger(__name__)
 
@@ -54,11 +55,12 @@ class ReportPublisher:
         self.snapshot = snapshot
         self._publish(snapshot)
 
-    async def show(self, report: FrameReport) -> None:
-        """Send a report to every sink; raises `HickoryError` if an essential one has failed."""
+    async def show(self, report: FrameReport, *, is_last: bool = False) -> None:
+        """Send a report to every sink, the last one with patience; raises `HickoryError`: an essential one failed."""
         placed = in_map_frame(report, self.snapshot)
+        timeout_s = None if self._waits else _CLOSE_TIMEOUT_S if is_last else 0.0
         for sink in self._sinks:
-            await sink.show(placed, waits=self._waits)
+            await sink.show(placed, timeout_s=timeout_s)
 
     def progress(self, phase: str, clock: RunClock, shapes: ShapeQueue, *, kernels: tuple[int, int]) -> None:
         """Report the progress of the run; `kernels` are the numbers compiled and estimated while some are missing."""
@@ -77,34 +79,49 @@ class ReportPublisher:
 
 
 _CAPACITY = 16
+# Where a sink is slow, frames between keyframes are missed first.
+_CAPACITY_BETWEEN = 8
 _CLOSE_TIMEOUT_S = 5.0
 
 
 class SinkThread:
-    """Runs one sink; `show` waits while its queue is full (playback), or counts in `num_dropped`."""
+    """Runs one sink; `show` waits while its queue is full (playback), or counts the report in `num_dropped`.
+
+    The decisions of a report that a sink misses come with the next one: what happened to an object is never lost.
+    """
 
     def __init__(self, sink: Sink, *, is_essential: bool) -> None:
         self._sink = sink
         self.is_essential = is_essential
         self._queue: queue.Queue[FrameReport | None] = queue.Queue(_CAPACITY)
         self._error: BaseException | None = None
+        self._missed: tuple[Decision, ...] = ()
         self.num_dropped = 0
         self._thread = threading.Thread(target=self._work, name=f"sink-{type(sink).__name__}", daemon=True)
         self._thread.start()
 
-    async def show(self, report: FrameReport, *, waits: bool = True) -> None:
-        """Queue a report; unless it `waits`, a slow sink that is not essential misses it.
+    async def show(self, report: FrameReport, *, timeout_s: float | None = None) -> None:
+        """Queue a report; a slow sink that is not essential misses it after the timeout, None: never.
 
         Raises `HickoryError`: an essential sink has failed.
         """
         self._raise_if_failed()
+        if self._missed:
+            report = replace(report, decisions=(*self._missed, *report.decisions))
+        patience_s = None if self.is_essential else timeout_s
+        capacity = _CAPACITY if patience_s is None or report.keyframe_index is not None else _CAPACITY_BETWEEN
         try:
-            self._queue.put_nowait(report)
+            if self.backlog < capacity:
+                self._queue.put_nowait(report)
+            elif patience_s == 0:
+                raise queue.Full
+            else:
+                await asyncio.to_thread(self._queue.put, report, timeout=patience_s)
         except queue.Full:
-            if not waits and not self.is_essential:
-                self.num_dropped += 1
-                return
-            await asyncio.to_thread(self._queue.put, report)
+            self.num_dropped += 1
+            self._missed = report.decisions
+        else:
+            self._missed = ()
 
     async def close(self) -> None:
         """Let the sink finish its queue, for at most 5 s unless it is essential.

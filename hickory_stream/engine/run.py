@@ -372,7 +372,8 @@ class Run:
         assert self._clock.camera is not None
         pose, index = self._registrar.places.where(last.world_from_camera), self._clock.num_keyframes
         await self._publisher.show(
-            final_report(last, pose, self._clock.camera, snapshot, keyframe_index=index, decisions=decisions)
+            final_report(last, pose, self._clock.camera, snapshot, keyframe_index=index, decisions=decisions),
+            is_last=True,
         )
 
     def _metrics(self, times_s: Mapping[str, float]) -> tuple[tuple[str, float], ...]:

@@ -1,9 +1,11 @@
 import asyncio
 import logging
 import threading
+from dataclasses import replace
 import pytest
 from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.errors import MapFolderError
+from hickory_stream.records import Decision
 from hickory_stream.testing import FailingSink, RememberingSink
 from tests.sinks.report_fixtures import bare_report
 
@@ -82,3 +84,30 @@ def test_a_sink_that_failed_is_closed_all_the_same():
     sink = Failing()
     asyncio.run(show_all(sink, is_essential=False))
     assert sink.is_closed
+
+
+def test_a_slow_sink_misses_frames_between_keyframes_first_and_no_decision():
+    released = threading.Event()
+
+    class Slow(RememberingSink):
+        def show(self, report):
+            released.wait(20)
+            super().show(report)
+
+    async def show_all_at_once():
+        thread = SinkThread(sink := Slow(), is_essential=False)
+        for i in range(NUM_REPORTS):
+            told = (Decision(kind="merge", text=f"{i}", object_id=i),)
+            report = replace(bare_report(i), keyframe_index=i // 5 if i % 5 == 0 else None, decisions=told)
+            await thread.show(report, timeout_s=0.0)
+        released.set()
+        await thread.show(replace(bare_report(NUM_REPORTS), keyframe_index=12), timeout_s=5.0)
+        await thread.close()
+        return sink.reports, thread.num_dropped
+
+    reports, num_dropped = asyncio.run(show_all_at_once())
+    assert [decision.object_id for report in reports for decision in report.decisions] == list(range(NUM_REPORTS))
+    assert num_dropped == NUM_REPORTS + 1 - len(reports) > 0
+    shown = [report.index for report in reports]
+    assert sum(i % 5 != 0 for i in shown) <= 9
+    assert set(range(0, NUM_REPORTS, 5)) - set(shown) <= {50, 55}
