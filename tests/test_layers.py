@@ -120,12 +120,10 @@ def test_importing_the_package_for_its_version_loads_nothing():
 
 def test_nothing_prints_but_the_command_line():
     printers = {
-        module_of(file)
-        for file in FILES
-        if "print(" in (text := file.read_text(encoding="utf-8"))
+        module_of(file) for file in FILES if "print(" in (text := file.read_text(encoding="utf-8"))
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
-    }
+    }  # fmt: skip
     assert {name for name in printers if not f"{name}.".startswith("hickory_stream.cli.")} == set()
 
 

@@ -134,25 +134,12 @@ def test_the_way_to_a_map_rounds_in_one_way_only(path):
         assert list(forbidden_in(path.read_text(encoding="utf-8"))) == []
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "c = a @ b",
-        "a @= b",
-        "x = np.linalg.solve(a, b)",
-        "x = np.linalg.norm(a)",
-        "x = np.exp(a)",
-        "x = math.pow(a, b)",
-        "x = a.dot(b)",
-        "x = a ** 3",
-        "x = np.argsort(a)",
-        "x = cv2.GaussianBlur(a, (0, 0), 1)",
-        "from scipy.linalg import eigh",
-        "x = ndimage.gaussian_filter(a, 1)",
-        "@numba.njit(fastmath=True)\ndef f(): ...",
-        "@kernel(parallel=True)\ndef f(): ...",
-    ],
-)
+@pytest.mark.parametrize("line", [
+    "c = a @ b", "a @= b", "x = np.linalg.solve(a, b)", "x = np.linalg.norm(a)", "x = np.exp(a)", "x = math.pow(a, b)",
+    "x = a.dot(b)", "x = a ** 3", "x = np.argsort(a)", "x = cv2.GaussianBlur(a, (0, 0), 1)",
+    "from scipy.linalg import eigh", "x = ndimage.gaussian_filter(a, 1)", "@numba.njit(fastmath=True)\ndef f(): ...",
+    "@kernel(parallel=True)\ndef f(): ...",
+])  # fmt: skip
 def test_what_rounds_as_its_processor_does_is_found(line):
     assert len(list(forbidden_in(line))) == 1
 

@@ -261,9 +261,7 @@ FROZEN = Path(__file__).parent / "golden" / "record_names.json"
 def test_journal_records_keep_their_names_and_fields():
     """A journal written before names them: a name changes only with an alias on reading, and then here."""
     found = {
-        name: [member.value for member in kind]
-        if issubclass(kind, Enum)
-        else [f.name for f in dataclasses.fields(kind)]
-        for name, kind in sorted(record_classes().items())
-    }
+        name: [member.value for member in kind] if issubclass(kind, Enum)
+        else [f.name for f in dataclasses.fields(kind)] for name, kind in sorted(record_classes().items())
+    }  # fmt: skip
     assert found == json.loads(FROZEN.read_text(encoding="utf-8"))

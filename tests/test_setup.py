@@ -134,16 +134,12 @@ def test_a_python_without_pip_and_venv_is_refused(tmp_path):
     assert checkout.set_up()[0] == 0, "a uv of the system does"
 
 
-@pytest.mark.parametrize(
-    ("fault", "said"),
-    [
-        ("error: failed to write: No space left on device (os error 28)", "the disk is full while installing packages"),
-        ("error: Failed to fetch numpy\n  cause: Connection reset", "does not answer while installing packages (Conn"),
-        ("error: Read-only file system (os error 30)", "a folder cannot be written while installing packages"),
-        ("error: numpy has no wheel", "an error while installing packages: numpy has no wheel"),
-    ],
-    ids=("disk", "network", "folder", "other"),
-)
+@pytest.mark.parametrize(("fault", "said"), [
+    ("error: failed to write: No space left on device (os error 28)", "the disk is full while installing packages"),
+    ("error: Failed to fetch numpy\n  cause: Connection reset", "does not answer while installing packages (Conn"),
+    ("error: Read-only file system (os error 30)", "a folder cannot be written while installing packages"),
+    ("error: numpy has no wheel", "an error while installing packages: numpy has no wheel"),
+], ids=("disk", "network", "folder", "other"))  # fmt: skip
 def test_a_failed_installation_is_explained_and_begun_again(checkout, fault, said):
     (checkout.folder / "fault").write_text(fault)
     # pip, which comes second, fails as well.

@@ -72,13 +72,10 @@ def test_nothing_that_is_installed_points_into_the_checkout():
         tree = ast.parse(path.read_text(encoding="utf-8"))
         docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         told += [
-            f"{path.relative_to(ROOT)}:{node.lineno}: {node.value}"
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Constant)
-            and isinstance(node.value, str)
-            and id(node) not in docstrings
+            f"{path.relative_to(ROOT)}:{node.lineno}: {node.value}" for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings
             and re.search(r"\b(tools|tests|recordings)/", node.value)
-        ]
+        ]  # fmt: skip
     assert told == []
 
 

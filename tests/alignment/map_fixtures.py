@@ -40,21 +40,11 @@ def snapshot_of(items, map_from_world, seed=0):
         moved = apply(map_from_world, points)
         objects.append(
             TrackedObject(
-                id=i + 1,
-                phase=Phase.ACTIVE,
-                submap_id=0,
-                sightings=5,
-                first_seen_ns=1000 + i,
-                last_seen_ns=9000 + i,
-                points_world=moved,
-                colors=np.full((len(moved), 3), 128, dtype=np.uint8),
-                box=gravity_aligned_box(moved, 0.005),
-                feature=feature,
-                views=(),
-                best_view=None,
-                shape=None,
+                id=i + 1, phase=Phase.ACTIVE, submap_id=0, sightings=5, first_seen_ns=1000 + i, last_seen_ns=9000 + i,
+                points_world=moved, colors=np.full((len(moved), 3), 128, dtype=np.uint8),
+                box=gravity_aligned_box(moved, 0.005), feature=feature, views=(), best_view=None, shape=None,
             )
-        )
+        )  # fmt: skip
     # Closer than the voxels, so that none is left out whichever way they are turned.
     steps = np.arange(-0.6, 7.2, 0.6 * VOXEL_M), np.arange(-0.6, 7.2, 0.6 * VOXEL_M), np.arange(0, 0.9, 0.6 * VOXEL_M)
     room = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -64,11 +54,9 @@ def snapshot_of(items, map_from_world, seed=0):
         voxel_m=VOXEL_M, free=np.setdiff1d(free, taken), structure=np.empty(0, dtype=np.int64), floor_z_m=None
     )
     return MapSnapshot(
-        revision=1,
-        stamp_ns=9999,
-        submaps=(Submap(id=0, world_from_submap=np.eye(4), observed_space=space),),
+        revision=1, stamp_ns=9999, submaps=(Submap(id=0, world_from_submap=np.eye(4), observed_space=space),),
         objects=tuple(objects),
-    )
+    )  # fmt: skip
 
 
 def frame(yaw_deg, x, y, z=0.0):

@@ -86,12 +86,10 @@ def graph(linked, log_ranks):
     rows, columns = np.nonzero(linked)
     count = len(linked)
     return Affinity(
-        pairs=np.column_stack([np.arange(count), np.arange(count)]),
-        log_ranks=log_ranks,
-        starts=np.searchsorted(rows, np.arange(count + 1)).astype(np.int64),
-        neighbors=columns.astype(np.int32),
+        pairs=np.column_stack([np.arange(count), np.arange(count)]), log_ranks=log_ranks,
+        starts=np.searchsorted(rows, np.arange(count + 1)).astype(np.int64), neighbors=columns.astype(np.int32),
         weights=np.ones(len(rows), dtype=np.float32),
-    )
+    )  # fmt: skip
 
 
 def is_clique(linked, members):
@@ -113,11 +111,9 @@ def test_no_clique_is_heavier_than_the_one_found(seed, count, share):
     assert is_clique(linked, found)
     gains = ConsensusConfig().pair_gain - ranks
     every = (
-        sum(gains[i] for i in members)
-        for size in range(1, count + 1)
-        for members in combinations(range(count), size)
+        sum(gains[i] for i in members) for size in range(1, count + 1) for members in combinations(range(count), size)
         if is_clique(linked, np.array(members))
-    )
+    )  # fmt: skip
     assert np.isclose(gains[found].sum(), max(every))
 
 

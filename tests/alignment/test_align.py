@@ -91,17 +91,10 @@ def test_unrelated_maps_are_refused(seed, count, is_hard):
     assert answer.refusal in (Refusal.CHANCE, Refusal.TOO_FEW_PAIRS, Refusal.COLLINEAR, Refusal.UNCERTAIN)
 
 
-@pytest.mark.parametrize(
-    ("log10_count", "text"),
-    [
-        (3.1, "1,300"),
-        (0.0, "1"),
-        (-1.999, "0.011"),
-        (-2.0, "0.01"),
-        (7, "more than a million"),
-        (-30, "less than 0.000000001"),
-    ],
-)
+@pytest.mark.parametrize(("log10_count", "text"), [
+    (3.1, "1,300"), (0.0, "1"), (-1.999, "0.011"), (-2.0, "0.01"), (7, "more than a million"),
+    (-30, "less than 0.000000001"),
+])  # fmt: skip
 def test_expected_numbers_are_plain_and_rounded_up(log10_count, text):
     assert count_text(log10_count) == text
 

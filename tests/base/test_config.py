@@ -215,13 +215,10 @@ def test_a_file_of_another_version_is_read_as_far_as_known():
     assert (found.run, found.perception) == (RunConfig(), MapperConfig().perception)
 
 
-@pytest.mark.parametrize(
-    "old",
-    [
-        {"mapping": {"track": {"voxel_m": 0.02}, "space_voxel_m": 0.1}},
-        {"mapping": {"lattice": {"points_m": 0.02, "space_m": 0.1}}},
-    ],
-)
+@pytest.mark.parametrize("old", [
+    {"mapping": {"track": {"voxel_m": 0.02}, "space_voxel_m": 0.1}},
+    {"mapping": {"lattice": {"points_m": 0.02, "space_m": 0.1}}},
+])  # fmt: skip
 def test_the_voxels_of_an_older_map_keep_their_sizes(old):
     assert as_far_as_known(old).mapping.voxels == Lattice(object_m=0.02, space_m=0.1)
     assert from_dict(MapperConfig, with_current_names(old)).mapping.voxels == Lattice(object_m=0.02, space_m=0.1)

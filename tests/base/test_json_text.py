@@ -22,11 +22,9 @@ def is_python(file):
 
 
 FILES = sorted(
-    file
-    for part in ("hickory_stream", "players", "tools")
-    for file in (ROOT / part).rglob("*")
+    file for part in ("hickory_stream", "players", "tools") for file in (ROOT / part).rglob("*")
     if file.is_file() and is_python(file)
-)
+)  # fmt: skip
 
 
 def writers_in(source):

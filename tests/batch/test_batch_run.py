@@ -160,14 +160,11 @@ class FakeClient:
         return self.answer
 
 
-@pytest.mark.parametrize(
-    ("answer", "said"),
-    [
-        ({}, "has no worker; start some with `dask worker tcp://s:1`"),
-        ({"tcp://w:2": "hickory-stream 0.0.1"}, "the worker tcp://w:2 has hickory-stream 0.0.1, this machine hickory"),
-        (ModuleNotFoundError("No module named 'hickory_stream'"), "cannot run hickory-stream .*No module named"),
-    ],
-)
+@pytest.mark.parametrize(("answer", "said"), [
+    ({}, "has no worker; start some with `dask worker tcp://s:1`"),
+    ({"tcp://w:2": "hickory-stream 0.0.1"}, "the worker tcp://w:2 has hickory-stream 0.0.1, this machine hickory"),
+    (ModuleNotFoundError("No module named 'hickory_stream'"), "cannot run hickory-stream .*No module named"),
+])  # fmt: skip
 def test_a_cluster_with_other_workers_is_refused(answer, said):
     with pytest.raises(ConfigError, match=said):
         executors._check_workers(FakeClient(answer), "tcp://s:1")

@@ -129,14 +129,11 @@ def test_the_probability_of_a_change_follows_bayes_rule():
     assert probability_changed(seen(0.0, 1.0), config) == pytest.approx(0.02 / 0.74)
 
 
-@pytest.mark.parametrize(
-    ("free", "unseen", "text"),
-    [
-        (0.0, 1.0, "the second map did not see its place"),
-        (0.6, 0.4, "the second map saw in its place: 60% free space, 40% of it was not seen"),
-        (1.0, 0.0, "the second map saw in its place: 100% free space"),
-    ],
-)
+@pytest.mark.parametrize(("free", "unseen", "text"), [
+    (0.0, 1.0, "the second map did not see its place"),
+    (0.6, 0.4, "the second map saw in its place: 60% free space, 40% of it was not seen"),
+    (1.0, 0.0, "the second map saw in its place: 100% free space"),
+])  # fmt: skip
 def test_the_evidence_says_plainly_what_was_seen(free, unseen, text):
     seen = Evidence(free=free, structure=0.0, objects=0.0, unseen=unseen, num_clear=100)
     change = ObjectChange(
@@ -245,18 +242,11 @@ def test_a_file_says_what_was_written_and_only_of_its_map(tmp_path):
         read_stationarity(tmp_path / "known.json", "xyz")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[]",
-        '{"version": 1}',
-        '{"version": 1, "map_digest": "a", "objects": [{"id": 1, "stayed": NaN, "moved": 0}]}',
-        '{"version": 1, "map_digest": "a", "objects": [{"id": 1, "stayed": -1, "moved": 0}]}',
-        '{"version": 2, "map_digest": "a", "objects": []}',
-        "[" * 100_000,
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "", "[]", '{"version": 1}', '{"version": 1, "map_digest": "a", "objects": [{"id": 1, "stayed": NaN, "moved": 0}]}',
+    '{"version": 1, "map_digest": "a", "objects": [{"id": 1, "stayed": -1, "moved": 0}]}',
+    '{"version": 2, "map_digest": "a", "objects": []}', "[" * 100_000,
+])  # fmt: skip
 def test_what_is_no_such_file_is_refused(text, tmp_path):
     (tmp_path / "bad.json").write_text(text)
     with pytest.raises(InputError, match="diff"):

@@ -20,11 +20,9 @@ DEFAULT_RUN = RunConfig()
 def box_mesh(extents_m, color):
     solid = trimesh.creation.box(extents_m).subdivide()
     return Mesh(
-        vertices=solid.vertices,
-        faces=solid.faces,
-        colors=np.tile(np.uint8(color), (len(solid.vertices), 1)),
+        vertices=solid.vertices, faces=solid.faces, colors=np.tile(np.uint8(color), (len(solid.vertices), 1)),
         is_seen=solid.vertices[:, 2] > -extents_m[2] / 2,
-    )
+    )  # fmt: skip
 
 
 def placed(x, y, z):
@@ -47,12 +45,10 @@ def make_crop(seed=0):
     depth = rng.uniform(0.5, 4.0, (12, 16)).astype(np.float32)
     depth[0, :4] = np.nan
     return Crop(
-        rgb=rng.integers(0, 256, (12, 16, 3), dtype=np.uint8),
-        depth_m=depth,
-        mask=rng.random((12, 16)) > 0.5,
+        rgb=rng.integers(0, 256, (12, 16, 3), dtype=np.uint8), depth_m=depth, mask=rng.random((12, 16)) > 0.5,
         camera=Camera(width=16, height=12, fx=20.0, fy=20.5, cx=8.1, cy=6.2),
         world_from_camera=placed(0.1, 0.2, 1.0 / 3.0),
-    )
+    )  # fmt: skip
 
 
 def make_shape(mesh, world_from_object, half_m, revision):
@@ -87,11 +83,9 @@ def make_space():
     wall = np.stack([np.full(3600, 1.51), floor[:, 1], (floor[:, 0] + 1.5) * 0.8], axis=1)
     air = np.concatenate([floor + np.array([0, 0, 0.05]), wall - np.array([0.05, 0, 0])])
     return records.ObservedSpace(
-        voxel_m=0.05,
-        free=np.unique(keys_of_points(air, 0.05)),
-        structure=np.unique(keys_of_points(np.concatenate([floor, wall]), 0.05)),
-        floor_z_m=0.0,
-    )
+        voxel_m=0.05, free=np.unique(keys_of_points(air, 0.05)),
+        structure=np.unique(keys_of_points(np.concatenate([floor, wall]), 0.05)), floor_z_m=0.0,
+    )  # fmt: skip
 
 
 def make_snapshot(folder=None, revision=3, views_as=DEFAULT_RUN):
@@ -112,11 +106,9 @@ def make_snapshot(folder=None, revision=3, views_as=DEFAULT_RUN):
     ball = trimesh.creation.icosphere(2, 0.15)
     count = len(ball.vertices)
     ball_mesh = Mesh(
-        vertices=ball.vertices,
-        faces=ball.faces,
-        colors=np.tile(np.uint8([200, 60, 50]), (count, 1)),
+        vertices=ball.vertices, faces=ball.faces, colors=np.tile(np.uint8([200, 60, 50]), (count, 1)),
         is_seen=np.ones(count, dtype=bool),
-    )
+    )  # fmt: skip
     objects.append(replace(make_object(9, ball_mesh, placed(-0.9, -0.6, 0.15)), phase=records.Phase.TENTATIVE))
     submap = records.Submap(id=0, world_from_submap=np.eye(4), observed_space=make_space())
     return records.MapSnapshot(

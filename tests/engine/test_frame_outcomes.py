@@ -98,15 +98,10 @@ def test_it_stands_at_the_last_frame_and_keeps_the_first_stamp(clock):
     assert clock.camera == RAW.camera
 
 
-@pytest.mark.parametrize(
-    ("seconds", "rate_hz", "speed_m_s", "turn_deg_s", "counts"),
-    [
-        (3600, 5, 0.0, 0.0, {"first": 1, "at_rest": 1799}),
-        (60, 30, 0.0, 90.0, {"first": 1, "moved": 149}),
-        (60, 1, 0.3, 0.0, {"first": 1, "moved": 59}),
-        (30, 60, 0.5, 0.0, {"first": 1, "moved": 74}),
-    ],
-)
+@pytest.mark.parametrize(("seconds", "rate_hz", "speed_m_s", "turn_deg_s", "counts"), [
+    (3600, 5, 0.0, 0.0, {"first": 1, "at_rest": 1799}), (60, 30, 0.0, 90.0, {"first": 1, "moved": 149}),
+    (60, 1, 0.3, 0.0, {"first": 1, "moved": 59}), (30, 60, 0.5, 0.0, {"first": 1, "moved": 74}),
+])  # fmt: skip
 def test_keyframes_follow_motion_and_not_the_rate(seconds, rate_hz, speed_m_s, turn_deg_s, counts):
     last, reasons = None, Counter()
     for i in range(seconds * rate_hz):

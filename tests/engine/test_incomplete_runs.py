@@ -115,15 +115,11 @@ def test_a_reason_that_cannot_be_read_is_unknown(tmp_path):
     assert [(group.reason, group.object_ids) for group in found] == [("no reason was kept", (2, 3, 4)), ("slow", (1,))]
 
 
-@pytest.mark.parametrize(
-    ("ending", "arguments"),
-    [
-        ("json", ("export", "{map}", "--out", "{out}")),
-        ("ply", ("export", "{map}", "--out", "{out}")),
-        ("png", ("render", "{map}", "--layers", "1", "--size", "480x240", "-o", "{out}")),
-        ("html", ("doctor", "{log}", "--html", "{out}")),
-    ],
-)
+@pytest.mark.parametrize(("ending", "arguments"), [
+    ("json", ("export", "{map}", "--out", "{out}")), ("ply", ("export", "{map}", "--out", "{out}")),
+    ("png", ("render", "{map}", "--layers", "1", "--size", "480x240", "-o", "{out}")),
+    ("html", ("doctor", "{log}", "--html", "{out}")),
+])  # fmt: skip
 def test_a_full_disk_leaves_the_file_that_was_there(failed, ending, arguments, tmp_path, capsys):
     out = tmp_path / f"out.{ending}"
     out.write_bytes(OLD)

@@ -239,17 +239,10 @@ def jumps(path, seconds, loops=1):
     return kinds, fates(path / "map")
 
 
-@pytest.mark.parametrize(
-    ("seconds", "loops", "kinds"),
-    [
-        ((0.0, 0.3, 0.6), 1, []),
-        ((0.0, 0.3, 30.0), 1, []),
-        ((0.0, 0.3, 300.0), 1, ["seek"]),
-        ((0.0, 5.0, 10.0, 3.0), 1, ["seek"]),
-        ((0.0, 5.0, -1000.0), 1, ["restart"]),
-        ((0.0, 0.3), 3, ["loop", "loop"]),
-    ],
-)
+@pytest.mark.parametrize(("seconds", "loops", "kinds"), [
+    ((0.0, 0.3, 0.6), 1, []), ((0.0, 0.3, 30.0), 1, []), ((0.0, 0.3, 300.0), 1, ["seek"]),
+    ((0.0, 5.0, 10.0, 3.0), 1, ["seek"]), ((0.0, 5.0, -1000.0), 1, ["restart"]), ((0.0, 0.3), 3, ["loop", "loop"]),
+])  # fmt: skip
 def test_a_seek_a_restart_and_a_loop_are_told_apart(tmp_path, seconds, loops, kinds):
     found, frames = jumps(tmp_path, seconds, loops)
     assert found == kinds

@@ -125,11 +125,9 @@ LEFT, RIGHT = (
 BOXES = (LEFT, RIGHT, SceneBox(low=(-0.15, 0.25, 0.0), high=(0.2, 0.5, 0.55), rgb=(120, 170, 80)))
 # Odometry that may err by half a metre in a submap allows that the right one of two like boxes is the left one.
 CONFIG = (
-    "mapping.submaps.travel_m=1.4",
-    "mapping.submaps.loop_latency_s=0.6",
-    "registration.enabled=false",
+    "mapping.submaps.travel_m=1.4", "mapping.submaps.loop_latency_s=0.6", "registration.enabled=false",
     "graph.path_noise=0.3",
-)
+)  # fmt: skip
 
 
 def loop(earlier, later, shift_m):

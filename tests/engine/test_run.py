@@ -231,13 +231,10 @@ class BlindSource(SourceAround):
             yield replace(raw, decode=partial(replace, frame, depth_m=np.full_like(frame.depth_m, np.nan)))
 
 
-@pytest.mark.parametrize(
-    ("source", "told"),
-    [
-        (SceneSource(0), r"memory:scene gave no usable frame \(frames 0\)"),
-        (BlindSource(SceneSource(NUM_FRAMES)), rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"),
-    ],
-)
+@pytest.mark.parametrize(("source", "told"), [
+    (SceneSource(0), r"memory:scene gave no usable frame \(frames 0\)"),
+    (BlindSource(SceneSource(NUM_FRAMES)), rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"),
+])  # fmt: skip
 def test_a_source_without_frames_or_depth_leaves_no_map(tmp_path, source, told):
     with pytest.raises(RecordingError, match=told):
         map_scene(tmp_path, source=source)

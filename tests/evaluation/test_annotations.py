@@ -203,17 +203,13 @@ def test_a_folder_without_truth_is_refused_by_name(tmp_path):
         load_truth(tmp_path / "absent")
 
 
-@pytest.mark.parametrize(
-    ("record", "message"),
-    [
-        ("{", "cannot be read as JSON"),
-        ("[]", "format None; expected 1"),
-        ({**RECORD, "format": 2}, "format 2; expected 1"),
-        ({key: value for key, value in RECORD.items() if key != "frames"}, r"damaged \(KeyError\('frames'\)\)"),
-        ({**RECORD, "camera": {"width": 64, "height": 48, "K": [1.0]}}, "damaged .*K has shape"),
-        ({**RECORD, "frames": [{**RECORD["frames"][0], "world_from_camera": [[1.0]]}]}, "no rigid"),
-    ],
-)
+@pytest.mark.parametrize(("record", "message"), [
+    ("{", "cannot be read as JSON"), ("[]", "format None; expected 1"),
+    ({**RECORD, "format": 2}, "format 2; expected 1"),
+    ({key: value for key, value in RECORD.items() if key != "frames"}, r"damaged \(KeyError\('frames'\)\)"),
+    ({**RECORD, "camera": {"width": 64, "height": 48, "K": [1.0]}}, "damaged .*K has shape"),
+    ({**RECORD, "frames": [{**RECORD["frames"][0], "world_from_camera": [[1.0]]}]}, "no rigid"),
+])  # fmt: skip
 def test_a_damaged_truth_says_what_is_wrong(tmp_path, record, message):
     with pytest.raises(RecordingError, match=message):
         load_truth(written(tmp_path, record))

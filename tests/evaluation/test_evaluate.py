@@ -138,13 +138,10 @@ def run(capsys, *arguments):
     return main(["evaluate", *map(str, arguments)]), capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("truth", "told"),
-    [
-        ({"stamp_ns": 77 * STAMP_NS}, "is not the truth of the log"),
-        ({"poses": [placed(0.0, 9.0, 0.0) @ POSE]}, "the cameras are 9.0 m apart"),
-    ],
-)
+@pytest.mark.parametrize(("truth", "told"), [
+    ({"stamp_ns": 77 * STAMP_NS}, "is not the truth of the log"),
+    ({"poses": [placed(0.0, 9.0, 0.0) @ POSE]}, "the cameras are 9.0 m apart"),
+])  # fmt: skip
 def test_truth_of_another_log_is_refused(truth, told, tmp_path, capsys):
     map_in(tmp_path / "map")
     truth_in(tmp_path / "truth", **truth)

@@ -179,13 +179,8 @@ UPRIGHT_FROM_WORLD = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 def label(label_id, x, sides=SIDES, **more):
     center = UPRIGHT_FROM_WORLD.T @ [x, 0.0, 0.3]
     return {
-        "id": label_id,
-        "name": f"box {label_id}",
-        "center": center.tolist(),
-        "size": list(sides),
-        "yaw": 0.0,
-        **more,
-    }
+        "id": label_id, "name": f"box {label_id}", "center": center.tolist(), "size": list(sides), "yaw": 0.0, **more,
+    }  # fmt: skip
 
 
 def record(*objects, **more):
@@ -231,26 +226,21 @@ def test_a_yaw_turns_from_the_x_axis_of_the_upright_world(tmp_path):
     assert box_iou(made.boxes[0], unit_box(5.0)) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        ("{", "is no file of labelled boxes: "),
-        ({"format": 2, "objects": []}, "expected `format` 1 and a list `objects`"),
-        ({"format": 1, "objects": []}, "found no `upright_from_world`, expected three rows of three numbers"),
-        (record(label(1, 0.0), upright_from_world=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "is no rotation"),
-        (record(), "at least one of them without `ignore`"),
-        (record(label(1, 0.0, ignore=True)), "at least one of them without `ignore`"),
-        (record(label(1, 0.0), label(1, 2.0)), "needs objects of different `id`"),
-        (record({"id": 1, "yaw": 0}), r"objects\[0\]: found no `center`, expected three numbers"),
-        (record(label(1, 0.0), {**label(2, 0.0), "yaw": "left"}), r"objects\[1\]: found `yaw` left, expected a number"),
-        (record({**label(1, 0.0), "size": [1, 2]}), r"objects\[0\]: found `size` \[1, 2\], expected three numbers"),
-        (record({**label(1, 0.0), "size": [1, 0, 2]}), r"objects\[0\]: found `size` .*, expected lengths above 0"),
-        (record({**label(1, 0.0), "seen_size": [1, 1, 1]}), "found no `seen_center`"),
-        (record({**label(1, 0.0), "center": [1, 2, float("nan")]}), "found `center` "),
-        (record({**label(1, 0.0), "id": "x"}), "`id`"),
-        (record(3), r"objects\[0\]: expected keys and values"),
-    ],
-)
+@pytest.mark.parametrize(("content", "complaint"), [
+    ("{", "is no file of labelled boxes: "), ({"format": 2, "objects": []}, "expected `format` 1 and a list `objects`"),
+    ({"format": 1, "objects": []}, "found no `upright_from_world`, expected three rows of three numbers"),
+    (record(label(1, 0.0), upright_from_world=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "is no rotation"),
+    (record(), "at least one of them without `ignore`"),
+    (record(label(1, 0.0, ignore=True)), "at least one of them without `ignore`"),
+    (record(label(1, 0.0), label(1, 2.0)), "needs objects of different `id`"),
+    (record({"id": 1, "yaw": 0}), r"objects\[0\]: found no `center`, expected three numbers"),
+    (record(label(1, 0.0), {**label(2, 0.0), "yaw": "left"}), r"objects\[1\]: found `yaw` left, expected a number"),
+    (record({**label(1, 0.0), "size": [1, 2]}), r"objects\[0\]: found `size` \[1, 2\], expected three numbers"),
+    (record({**label(1, 0.0), "size": [1, 0, 2]}), r"objects\[0\]: found `size` .*, expected lengths above 0"),
+    (record({**label(1, 0.0), "seen_size": [1, 1, 1]}), "found no `seen_center`"),
+    (record({**label(1, 0.0), "center": [1, 2, float("nan")]}), "found `center` "),
+    (record({**label(1, 0.0), "id": "x"}), "`id`"), (record(3), r"objects\[0\]: expected keys and values"),
+])  # fmt: skip
 def test_a_damaged_file_of_labels_is_refused_in_a_line(tmp_path, content, complaint):
     with pytest.raises(RecordingError, match=complaint) as refused:
         load_labels(written(tmp_path, content))

@@ -29,11 +29,9 @@ def moved(mesh, by):
 
 def joined(a, b):
     return Mesh(
-        vertices=np.concatenate([a.vertices, b.vertices]),
-        faces=np.concatenate([a.faces, b.faces + len(a.vertices)]),
-        colors=np.concatenate([a.colors, b.colors]),
-        is_seen=np.concatenate([a.is_seen, b.is_seen]),
-    )
+        vertices=np.concatenate([a.vertices, b.vertices]), faces=np.concatenate([a.faces, b.faces + len(a.vertices)]),
+        colors=np.concatenate([a.colors, b.colors]), is_seen=np.concatenate([a.is_seen, b.is_seen]),
+    )  # fmt: skip
 
 
 def true_surface(mesh):

@@ -66,17 +66,11 @@ def evidence(truth, sightings, *, objects=(), decisions=(), num_depth=3):
     return Evidence(
         names={THING: "1 crate", OTHER: "2 stove"},
         sightings=TruthSightings(
-            of_object={THING: tuple(sightings), OTHER: ()},
-            histories=book,
-            num_keyframes=20,
-            smallest_mask_px=100.0,
-            masks_of={7: {THING: 300, FLOOR: 700}},
-            depth_on=Counter({THING: num_depth}),
+            of_object={THING: tuple(sightings), OTHER: ()}, histories=book, num_keyframes=20, smallest_mask_px=100.0,
+            masks_of={7: {THING: 300, FLOOR: 700}}, depth_on=Counter({THING: num_depth}),
         ),
-        overlap=Overlap(snapshot, truth),
-        boxes={o.id: o.box for o in objects},
-        confirm_s=CONFIRM_S,
-    )
+        overlap=Overlap(snapshot, truth), boxes={o.id: o.box for o in objects}, confirm_s=CONFIRM_S,
+    )  # fmt: skip
 
 
 def five(*parts):
@@ -179,30 +173,24 @@ def test_three_sightings_can_be_enough(truth):
     assert why_missed(THING, (), evidence(truth, rejected)).reason == "mask rejected"
 
 
-@pytest.mark.parametrize(
-    ("parts", "state"),
-    [
-        ((mask(0.6, 0.5), Part(where="structure", share=0.4)), "in a mask of its own"),
-        ((mask(0.6, 0.4), Part(where="structure", share=0.4)), "in one mask with another"),
-        ((mask(0.4, 0.9), mask(0.3, 0.9), Part(where="structure", share=0.3)), "in pieces"),
-        ((Part(where="structure", share=0.6), mask(0.4, 0.9)), "taken for structure"),
-        ((mask(0.4, 0.9), Part(where="structure", share=0.3)), "in a mask of its own"),
-        ((Part(where="no depth", share=0.6),), "without depth"),
-    ],
-)
+@pytest.mark.parametrize(("parts", "state"), [
+    ((mask(0.6, 0.5), Part(where="structure", share=0.4)), "in a mask of its own"),
+    ((mask(0.6, 0.4), Part(where="structure", share=0.4)), "in one mask with another"),
+    ((mask(0.4, 0.9), mask(0.3, 0.9), Part(where="structure", share=0.3)), "in pieces"),
+    ((Part(where="structure", share=0.6), mask(0.4, 0.9)), "taken for structure"),
+    ((mask(0.4, 0.9), Part(where="structure", share=0.3)), "in a mask of its own"),
+    ((Part(where="no depth", share=0.6),), "without depth"),
+])  # fmt: skip
 def test_a_keyframe_labels_a_thing_by_most_of_its_pixels(parts, state):
     assert state_of(sighting(0, *parts)) == state
 
 
-@pytest.mark.parametrize(
-    ("size", "shift", "told"),
-    [
-        ((0.4, 0.2, 0.3), (0, 0, 0), "no extent by more than a tenth: it is turned, or thin"),
-        ((0.8, 0.2, 0.3), (0, 0, 0), "length 0.80 m, true 0.40 m"),
-        ((0.4, 0.1, 0.3), (0, 0.05, 0), "width 0.10 m, true 0.20 m; its middle is off by 0.05 m in width"),
-        ((0.4, 0.2, 0.1), (0, 0, -0.1), "height 0.10 m, true 0.30 m; its middle is off by 0.10 m in height"),
-    ],
-)
+@pytest.mark.parametrize(("size", "shift", "told"), [
+    ((0.4, 0.2, 0.3), (0, 0, 0), "no extent by more than a tenth: it is turned, or thin"),
+    ((0.8, 0.2, 0.3), (0, 0, 0), "length 0.80 m, true 0.40 m"),
+    ((0.4, 0.1, 0.3), (0, 0.05, 0), "width 0.10 m, true 0.20 m; its middle is off by 0.05 m in width"),
+    ((0.4, 0.2, 0.1), (0, 0, -0.1), "height 0.10 m, true 0.30 m; its middle is off by 0.10 m in height"),
+])  # fmt: skip
 def test_extents_are_named_by_the_true_box(size, shift, told):
     def box(sides, center):
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(sides) / 2

@@ -20,8 +20,6 @@ class DeadReckoning:
         if last_from_scan is not None:
             self._start_from_sensor = compose(self._start_from_sensor, last_from_scan)
         return Registered(
-            stamp_ns=scan.stamp_ns,
-            start_from_sensor=self._start_from_sensor,
-            information=np.zeros((6, 6)),
+            stamp_ns=scan.stamp_ns, start_from_sensor=self._start_from_sensor, information=np.zeros((6, 6)),
             degenerate=np.eye(6),
-        )
+        )  # fmt: skip

@@ -41,18 +41,10 @@ def test_any_length_fits_none_even_zero():
     assert frozen_array(np.zeros((0, 3)), np.float32, (None, 3), "x").shape == (0, 3)
 
 
-@pytest.mark.parametrize(
-    ("values", "dtype"),
-    [
-        ([300], np.uint8),
-        ([-1], np.uint8),
-        ([1.5], np.int32),
-        ([np.nan], np.int64),
-        ([255], np.bool_),
-        (["a"], np.float32),
-    ],
-    ids=["too large", "negative", "a fraction", "NaN", "no truth value", "text"],
-)
+@pytest.mark.parametrize(("values", "dtype"), [
+    ([300], np.uint8), ([-1], np.uint8), ([1.5], np.int32), ([np.nan], np.int64), ([255], np.bool_),
+    (["a"], np.float32),
+], ids=["too large", "negative", "a fraction", "NaN", "no truth value", "text"])  # fmt: skip
 def test_values_that_the_type_cannot_hold_are_refused(values, dtype):
     with pytest.raises(ValueError, match=r"Thing\.x"):
         frozen_array(np.array(values), dtype, (1,), "Thing.x")

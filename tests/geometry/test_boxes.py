@@ -89,11 +89,9 @@ def test_the_intersection_is_the_polyhedron_of_twelve_planes(a, b):
     planes = np.concatenate([halfspaces(a), halfspaces(b)])
     # The middle of the largest sphere within all planes (Chebyshev centre) is surely inside.
     found = linprog(
-        [0, 0, 0, -1],
-        A_ub=np.column_stack([planes[:, :3], np.ones(12)]),
-        b_ub=-planes[:, 3],
+        [0, 0, 0, -1], A_ub=np.column_stack([planes[:, :3], np.ones(12)]), b_ub=-planes[:, 3],
         bounds=[(None, None)] * 3 + [(0, None)],
-    )
+    )  # fmt: skip
     assume(found.status == 0 and found.x[3] > 0.01)
     polyhedron = HalfspaceIntersection(planes, found.x[:3])
     assert intersection_volume_m3(a, b) == pytest.approx(ConvexHull(polyhedron.intersections).volume, rel=1e-6)
@@ -144,18 +142,12 @@ def test_the_upright_box_is_tight_down_to_the_least_half_extent(points, least):
     assert np.allclose(a.half_extents_m, np.maximum(local, least), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("points", "half"),
-    [
-        ([[1, 2, 3]], (0.01, 0.01, 0.01)),
-        ([[1, 2, 3]] * 5, (0.01, 0.01, 0.01)),
-        ([[0, 0, 0], [3, 4, 0], [1.5, 2, 0]], (2.5, 0.01, 0.01)),
-        ([[0, 0, 0], [0, 0, 1], [0, 0, 0.2]], (0.01, 0.01, 0.5)),
-        ([[0, 0, 5], [1, 0, 5], [1, 2, 5], [0, 2, 5]], (0.5, 1.0, 0.01)),
-        ([[0, 0, 0], [2, 0, 0], [0, 0, 2]], (1.0, 0.01, 1.0)),
-    ],
-    ids=["a point", "one point five times", "a line", "a vertical line", "a rectangle", "a vertical plane"],
-)
+@pytest.mark.parametrize(("points", "half"), [
+    ([[1, 2, 3]], (0.01, 0.01, 0.01)), ([[1, 2, 3]] * 5, (0.01, 0.01, 0.01)),
+    ([[0, 0, 0], [3, 4, 0], [1.5, 2, 0]], (2.5, 0.01, 0.01)), ([[0, 0, 0], [0, 0, 1], [0, 0, 0.2]], (0.01, 0.01, 0.5)),
+    ([[0, 0, 5], [1, 0, 5], [1, 2, 5], [0, 2, 5]], (0.5, 1.0, 0.01)),
+    ([[0, 0, 0], [2, 0, 0], [0, 0, 2]], (1.0, 0.01, 1.0)),
+], ids=["a point", "one point five times", "a line", "a vertical line", "a rectangle", "a vertical plane"])  # fmt: skip
 def test_a_flat_cloud_gets_a_box_of_the_least_thickness(points, half):
     a = gravity_aligned_box(np.array(points, dtype=np.float32), 0.01)
     assert sorted(a.half_extents_m[:2]) == pytest.approx(sorted(half[:2]), abs=1e-6)

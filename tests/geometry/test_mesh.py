@@ -28,11 +28,9 @@ def mesh_of(shape):
     rng = np.random.default_rng(0)
     count = len(shape.vertices)
     return Mesh(
-        vertices=shape.vertices,
-        faces=shape.faces,
-        colors=rng.integers(0, 255, (count, 3)),
+        vertices=shape.vertices, faces=shape.faces, colors=rng.integers(0, 255, (count, 3)),
         is_seen=rng.random(count) > 0.5,
-    )
+    )  # fmt: skip
 
 
 BOX = mesh_of(trimesh.creation.box((1.0, 2.0, 3.0)))
@@ -129,11 +127,9 @@ def test_a_damaged_file_is_refused(name):
 
 SOLID = trimesh.creation.box((1.0, 2.0, 3.0))
 MESH = Mesh(
-    vertices=SOLID.vertices,
-    faces=SOLID.faces,
-    colors=np.arange(24, dtype=np.uint8).reshape(8, 3),
+    vertices=SOLID.vertices, faces=SOLID.faces, colors=np.arange(24, dtype=np.uint8).reshape(8, 3),
     is_seen=np.arange(8) % 3 == 0,
-)
+)  # fmt: skip
 GLB = glb_bytes(MESH)
 
 
@@ -174,8 +170,7 @@ CHANGES = {
     "an_extension": lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"]),
     "huge_count": lambda d: d["accessors"][1].update(count=10**15),
     "negative_count": lambda d: d["accessors"][1].update(count=-1),
-    "no_view": lambda d: d["accessors"][1].pop("bufferView"),
-    "sparse": lambda d: d["accessors"][1].update(sparse={}),
+    "no_view": lambda d: d["accessors"][1].pop("bufferView"), "sparse": lambda d: d["accessors"][1].update(sparse={}),
     "beyond": lambda d: d["bufferViews"][0].update(byteOffset=10**9),
     "text_offset": lambda d: d["bufferViews"][0].update(byteOffset="0"),
     "lines": lambda d: d["meshes"][0]["primitives"][0].update(mode=1),
@@ -184,9 +179,8 @@ CHANGES = {
     "no_positions": lambda d: d["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"),
     "wrong_kind": lambda d: d["meshes"][0]["primitives"][0].update(indices=1),
     "other_array": lambda d: d["meshes"][0]["primitives"][0]["attributes"].update(_SEEN=0),
-    "no_list": lambda d: d.update(accessors={"0": 1}),
-    "null": lambda d: d.update(meshes=None),
-}
+    "no_list": lambda d: d.update(accessors={"0": 1}), "null": lambda d: d.update(meshes=None),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CHANGES)

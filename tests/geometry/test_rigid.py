@@ -67,18 +67,9 @@ def test_an_interpolation_is_straight_and_turns_evenly(start, end, fraction):
     assert rigid.rotation_angle_rad(between[:3, :3].T @ end[:3, :3]) == pytest.approx((1 - fraction) * whole, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("matrix", "verdict"),
-    [
-        (np.eye(4), True),
-        (np.eye(3), False),
-        (np.diag([1, 1, -1, 1.0]), False),
-        (np.diag([2, 2, 2, 1.0]), False),
-        (np.diag([1, 1, 1, 2.0]), False),
-        (np.full((4, 4), np.nan), False),
-        (np.zeros((4, 4)), False),
-    ],
-    ids=["identity", "3 x 3", "mirror", "scale", "bottom row", "NaN", "zeros"],
-)
+@pytest.mark.parametrize(("matrix", "verdict"), [
+    (np.eye(4), True), (np.eye(3), False), (np.diag([1, 1, -1, 1.0]), False), (np.diag([2, 2, 2, 1.0]), False),
+    (np.diag([1, 1, 1, 2.0]), False), (np.full((4, 4), np.nan), False), (np.zeros((4, 4)), False),
+], ids=["identity", "3 x 3", "mirror", "scale", "bottom row", "NaN", "zeros"])  # fmt: skip
 def test_only_proper_rigid_matrices_are_rigid(matrix, verdict):
     assert rigid.is_rigid(matrix) is verdict

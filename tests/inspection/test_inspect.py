@@ -140,16 +140,11 @@ def test_the_help_explains_the_words_of_the_table(map_path, capsys):
     assert {"phase", "submap", "held by", "outside"} <= set(explained)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--near", "1"], "expected X,Y in metres"),
-        (["--near", "1,2,x"], "expected X,Y,R in metres"),
-        (["--near", "1,2,-1"], "expected X,Y,R in metres"),
-        (["--near", "1,2,nan"], "expected X,Y,R in metres"),
-        (["--min-size", "nan"], "expected metres, 0 or more"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "told"), [
+    (["--near", "1"], "expected X,Y in metres"), (["--near", "1,2,x"], "expected X,Y,R in metres"),
+    (["--near", "1,2,-1"], "expected X,Y,R in metres"), (["--near", "1,2,nan"], "expected X,Y,R in metres"),
+    (["--min-size", "nan"], "expected metres, 0 or more"),
+])  # fmt: skip
 def test_a_place_or_a_size_that_is_none_is_refused(map_path, arguments, told, capsys):
     assert main(["inspect", str(map_path), *arguments]) == 2
     assert told in capsys.readouterr().err

@@ -143,9 +143,7 @@ def test_the_page_is_reachable_from_this_machine_only(shown):
     assert shown.web_url is not None
     assert shown.web_url.startswith("http://127.0.0.1:")
     heard = {
-        connection.laddr.ip
-        for child in psutil.Process().children(recursive=True)
-        for connection in child.net_connections(kind="tcp")
-        if connection.status == psutil.CONN_LISTEN
-    }
+        connection.laddr.ip for child in psutil.Process().children(recursive=True)
+        for connection in child.net_connections(kind="tcp") if connection.status == psutil.CONN_LISTEN
+    }  # fmt: skip
     assert heard == {"127.0.0.1"}

@@ -127,16 +127,14 @@ HOSTILE = {
     "keys_by_the_billion": tagged(39_101, ["<i8", [10**9], 4, b"\xff" * 16]),
     "half_a_block": tagged(39_101, ["<i8", [0], 4, b"\0" * 8]),
     "colours_of_two": tagged(39_101, ["|u1", [4, 2], 5, b"\0" * 8]),
-    "objects": tagged(39_101, ["|O", [1], 0, b"\0" * 8]),
-    "pickled": tagged(39_101, ["|V1000000000", [1], 0, b""]),
-    "a_pattern": cbor2.dumps(re.compile("(a+)+$")),
-    "a_record_of_nothing": tagged(39_100, ["Path", {}]),
+    "objects": tagged(39_101, ["|O", [1], 0, b"\0" * 8]), "pickled": tagged(39_101, ["|V1000000000", [1], 0, b""]),
+    "a_pattern": cbor2.dumps(re.compile("(a+)+$")), "a_record_of_nothing": tagged(39_100, ["Path", {}]),
     "a_field_that_there_is_not": tagged(39_100, ["OpenJob", {"ticket": 1, "object_id": 1, "due_ns": 1, "more": 1}]),
     "a_text_for_a_ticket": tagged(39_100, ["OpenJob", {"ticket": "../../x", "object_id": 1, "due_ns": 1}]),
     "a_flag_for_a_ticket": tagged(39_100, ["OpenJob", {"ticket": True, "object_id": 1, "due_ns": 1}]),
     "a_ticket_of_many_digits": tagged(39_100, ["OpenJob", {"ticket": 10**40, "object_id": 1, "due_ns": 1}]),
     "too_deep": b"\x81" * 5000 + b"\x00",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", HOSTILE)

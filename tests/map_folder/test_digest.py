@@ -132,14 +132,12 @@ positive = st.floats(min_value=1e-300, max_value=1e300)
 
 
 @given(
-    place=st.lists(finite, min_size=3, max_size=3),
-    half=st.lists(positive, min_size=3, max_size=3),
+    place=st.lists(finite, min_size=3, max_size=3), half=st.lists(positive, min_size=3, max_size=3),
     points=st.lists(st.tuples(finite32, finite32, finite32), max_size=5),
     feature=st.none() | st.lists(finite32, max_size=5),
     exponents=st.lists(st.floats(min_value=0.1, max_value=2.0), min_size=2, max_size=2),
-    max_g=st.floats(allow_nan=False),
-    stamp=st.integers(min_value=1 - 2**63, max_value=2**63 - 1),
-)
+    max_g=st.floats(allow_nan=False), stamp=st.integers(min_value=1 - 2**63, max_value=2**63 - 1),
+)  # fmt: skip
 def test_every_number_of_a_map_survives_writing_and_reading(place, half, points, feature, exponents, max_g, stamp):
     pose = np.eye(4)
     pose[:3, 3] = place

@@ -45,8 +45,7 @@ def everything(folder):
 
 
 CHANGES = {
-    "id": lambda d: d["objects"][0].update(id=OUTSIDE),
-    "id_true": lambda d: d["objects"][0].update(id=True),
+    "id": lambda d: d["objects"][0].update(id=OUTSIDE), "id_true": lambda d: d["objects"][0].update(id=True),
     "id_twice": lambda d: d["objects"][1].update(id=d["objects"][0]["id"]),
     "submap_id": lambda d: d["submaps"][0].update(id=OUTSIDE),
     "points": lambda d: d["objects"][0].update(points=OUTSIDE),
@@ -59,10 +58,9 @@ CHANGES = {
     "observation": lambda d: d["objects"][0]["views"][0].update(observation_index=OUTSIDE),
     "axes": lambda d: d["objects"][0]["shape"]["inflated"].update(semi_axes_m=[["inf", "inf", "inf"]]),
     "exponents": lambda d: d["objects"][0]["shape"]["inflated"].update(exponents=[[0.0, 0.0]]),
-    "voxel": lambda d: d["submaps"][0].update(voxel_m=0),
-    "stamp": lambda d: d.update(stamp_ns=10**30),
+    "voxel": lambda d: d["submaps"][0].update(voxel_m=0), "stamp": lambda d: d.update(stamp_ns=10**30),
     "certified": lambda d: d["objects"][0]["shape"]["containment"].update(is_certified="yes"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CHANGES)

@@ -46,17 +46,15 @@ def keyframes(looks):
         keys = [sorted_unique(keys_of_points(points.astype(np.float32), 0.05)) for points in (wall, room)]
         events.append(
             FrameObserved(
-                frame_index=i,
-                stamp_ns=stamp_ns,
+                frame_index=i, stamp_ns=stamp_ns,
                 world_from_camera=from_rotation_translation(np.eye(3), np.array([x_m, -2.0 - 0.1 * i, 0.5])),
                 observations=tuple(observation(k, points) for k, points in enumerate(things)),
                 space=space(
                     structure=keys[0] if what != "free" else keys[0][:0],
-                    free=keys[1] if what != "wall" else keys[1][:0],
-                    floor_z_m=0.0,
+                    free=keys[1] if what != "wall" else keys[1][:0], floor_z_m=0.0,
                 ),
             )
-        )
+        )  # fmt: skip
     return events
 
 

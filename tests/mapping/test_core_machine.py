@@ -36,15 +36,11 @@ def points_at(site, kind, shift_m):
 
 sightings = st.lists(
     st.tuples(
-        st.integers(0, 3),
-        st.sampled_from(["box", "box", "box", "half", "pair"]),
-        st.sampled_from([-0.01, 0.0, 0.0, 0.015]),
-        unit_share,
-        unit_share,
+        st.integers(0, 3), st.sampled_from(["box", "box", "box", "half", "pair"]),
+        st.sampled_from([-0.01, 0.0, 0.0, 0.015]), unit_share, unit_share,
     ),
-    max_size=3,
-    unique_by=lambda sighting: sighting[0],
-)
+    max_size=3, unique_by=lambda sighting: sighting[0],
+)  # fmt: skip
 
 
 def arrays_of(value):
@@ -99,11 +95,9 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
     # ---- what happens -----------------------------------------------------------------------------------------------
 
     @rule(
-        seen=sightings,
-        gap_s=st.sampled_from([0.25, 1.0, 5.0]),
-        angle_rad=st.floats(0, 6),
+        seen=sightings, gap_s=st.sampled_from([0.25, 1.0, 5.0]), angle_rad=st.floats(0, 6),
         looked_through=st.sampled_from([None, None, 0, 1, 2, 3]),
-    )
+    )  # fmt: skip
     def a_keyframe_comes(self, seen, gap_s, angle_rad, looked_through):
         self.stamp_ns += round(gap_s * mapping_fixtures.SECOND_NS)
         shown = [

@@ -20,11 +20,9 @@ VOXEL_M = 0.05
 
 def space_of(points, floor_z_m):
     return ObservedSpace(
-        voxel_m=VOXEL_M,
-        free=sorted_unique(keys_of_points(np.array([[0.0, 0.0, 1.0]]), VOXEL_M)),
-        structure=sorted_unique(keys_of_points(points, VOXEL_M)),
-        floor_z_m=floor_z_m,
-    )
+        voxel_m=VOXEL_M, free=sorted_unique(keys_of_points(np.array([[0.0, 0.0, 1.0]]), VOXEL_M)),
+        structure=sorted_unique(keys_of_points(points, VOXEL_M)), floor_z_m=floor_z_m,
+    )  # fmt: skip
 
 
 def plane(tilt_deg=0.0, uphill_deg=0.0, half_m=2.5):

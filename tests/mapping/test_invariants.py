@@ -190,12 +190,9 @@ def test_the_core_checks_its_state_where_debug_is_logged(level, caplog):
 def test_play_checks_with_debug_only_and_ends_in_one_line(options, tmp_path):
     # In a process of its own, where nobody has set up the logging before the command line does.
     script = (
-        "import sys\n"
-        "from hickory_stream.cli import main\n"
-        "from hickory_stream.mapping import invariants\n"
-        "invariants.INVARIANTS['it is on purpose'] = lambda state: iter(['this'])\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
+        "import sys\n" "from hickory_stream.cli import main\n" "from hickory_stream.mapping import invariants\n"
+        "invariants.INVARIANTS['it is on purpose'] = lambda state: iter(['this'])\n" "sys.exit(main(sys.argv[1:]))\n"
+    )  # fmt: skip
     play = ["play", "recordings/demo.mcap", "--frames", "2", "--out", str(tmp_path / "map"), "--viewer", "none"]
     command = [sys.executable, "-c", script, *play, *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)

@@ -233,13 +233,11 @@ def test_what_a_cloud_gained_is_what_was_fused_into_it():
     lattice = keys_of_points(np.array([[0.2 * i, -0.1 * i, 0.3] for i in range(60)]), VOXEL_M)
     first, second = (
         Cloud(
-            keys=np.sort(rng.choice(lattice, 20, replace=False)),
-            points=np.empty((20, 3), np.float32),
-            colors=rng.uniform(0, 255, (20, 3)).astype(np.float32),
-            hits=rng.integers(1, 9, 20).astype(np.int32),
+            keys=np.sort(rng.choice(lattice, 20, replace=False)), points=np.empty((20, 3), np.float32),
+            colors=rng.uniform(0, 255, (20, 3)).astype(np.float32), hits=rng.integers(1, 9, 20).astype(np.int32),
         )
         for _ in range(2)
-    )
+    )  # fmt: skip
     first, second = (replace(c, points=centers_of_keys(c.keys, VOXEL_M).astype(np.float32)) for c in (first, second))
     gained = grown_since(fuse(first, second), first, VOXEL_M)
     assert len(np.intersect1d(first.keys, second.keys)) > 0

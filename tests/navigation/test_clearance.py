@@ -193,11 +193,9 @@ def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit():
     scene = scene_of(one((0.3, 0.3, 0.3)))
     free, wall = np.array([[1.0, 0, 0], [0.0, 0, 0]]), np.array([[2.0, 0, 0]])
     space = ObservedSpace(
-        voxel_m=0.05,
-        free=np.unique(keys_of_points(free, 0.05)),
-        structure=np.unique(keys_of_points(wall, 0.05)),
+        voxel_m=0.05, free=np.unique(keys_of_points(free, 0.05)), structure=np.unique(keys_of_points(wall, 0.05)),
         floor_z_m=None,
-    )
+    )  # fmt: skip
     scene.observe(space)
     points = np.array([[1.0, 0, 0], [0.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]])
     assert scene.classify(points).tolist() == [Answer.FREE, Answer.HIT_SEEN, Answer.HIT_SEEN, Answer.UNKNOWN]
@@ -210,12 +208,9 @@ def test_behind_a_front_alone_is_unknown_not_occupied():
     cupboard = trimesh.creation.box((0.8, 0.6, 1.0)).apply_translation([0, 0, 0.5])
     post = trimesh.creation.box((0.1, 0.1, 1.4)).apply_translation([0.3, 0.25, 0.7])
     inputs = shape_inputs(
-        trimesh.util.concatenate([cupboard, post]),
-        1,
-        azimuths_rad=(-np.pi / 2, -np.pi / 2),
-        elevation_rad=-0.15,
+        trimesh.util.concatenate([cupboard, post]), 1, azimuths_rad=(-np.pi / 2, -np.pi / 2), elevation_rad=-0.15,
         noise=0.002,
-    )
+    )  # fmt: skip
     config = ShapeConfig()
     built = build_shape(inputs, make_reconstructor("fused", config), config)
     scene = ClearanceScene()

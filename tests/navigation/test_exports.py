@@ -60,18 +60,14 @@ def test_a_primitives_polyhedron_is_closed_and_holds_it(seed):
 def scene():
     objects = [
         SimulatedObject(
-            name="table",
-            mesh=box_mesh((1.2, 0.8, 0.7), (90, 60, 30)),
-            world_from_object=placed(1.5, 2.0, 0.35),
+            name="table", mesh=box_mesh((1.2, 0.8, 0.7), (90, 60, 30)), world_from_object=placed(1.5, 2.0, 0.35),
             inflated=table(),
         ),
         SimulatedObject(
-            name="crate",
-            mesh=None,
-            world_from_object=placed(4.5, 1.0, 0.3),
+            name="crate", mesh=None, world_from_object=placed(4.5, 1.0, 0.3),
             inflated=boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3))),
         ),
-    ]
+    ]  # fmt: skip
     return objects, wall_boxes(snapshot().submaps[:1], Band(low_m=0.0, high_m=2.0), 0.0)
 
 

@@ -18,16 +18,10 @@ def test_the_robots_that_ship_load_with_their_stated_size():
 
 
 # Length and width of the makers' data sheets, in metres.
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [
-        ("b2", (1.098, 0.45)),
-        ("go2", (0.7, 0.31)),
-        ("spot", (1.1, 0.5)),
-        ("turtlebot3_burger", (0.138, 0.178)),
-        ("turtlebot3_waffle", (0.281, 0.306)),
-    ],
-)
+@pytest.mark.parametrize(("name", "size"), [
+    ("b2", (1.098, 0.45)), ("go2", (0.7, 0.31)), ("spot", (1.1, 0.5)), ("turtlebot3_burger", (0.138, 0.178)),
+    ("turtlebot3_waffle", (0.281, 0.306)),
+])  # fmt: skip
 def test_the_footprint_of_a_robot_has_the_size_of_its_maker(name, size):
     for posture in load_robot(name).postures:
         assert np.ptp(posture.parts[0].corners_m, axis=0) == pytest.approx(size)
@@ -43,25 +37,20 @@ def test_a_robot_of_spheres_is_read_from_a_file(tmp_path):
     assert robot.num_headings > 1
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("", "misses the key 'posture'"),
-        ("posture = 3", "expected 1 to 8 tables"),
-        ('[[posture]]\nname = "a"\nlow_m = 0.1\n', "misses the key 'high_m'"),
-        ('[[posture]]\nname = "a"\nlow_m = 0.3\nhigh_m = 0.1\n', "low_m is 0.3; expected at most high_m, 0.1"),
-        ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = nan\n', "high_m is nan; expected 0 to 100 m"),
-        ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = 0.3\nradius = 1\n', "unknown key radius"),
-        ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = 0.3\ncost = 0.5\n', "cost is 0.5; expected 1 to 1000 ratio"),
-        ("num_headings = 3\n" + SPHERES, "found num_headings = 3"),
-        (SPHERES.replace("0.1]", "inf]"), "inf.*; expected -100 to 100 m"),
-        (SPHERES.replace("0.1]", "-0.1]"), "ball_m is -0.1; expected 0 to 1000 m"),
-        ('[[posture]]\nname = "a"\nlow_m = -1e9\nhigh_m = 1\n', "low_m is -1000000000.0; expected 0 to 100 m"),
-        ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = 0.3\nradius_m = "1"\n', "radius_m is '1'; expected 0 to"),
-        ('num_headings = "8"\n' + SPHERES, "num_headings is '8'; expected 1 to 360 headings"),
-        ("[[posture", "robot"),
-    ],
-)
+@pytest.mark.parametrize(("text", "complaint"), [
+    ("", "misses the key 'posture'"), ("posture = 3", "expected 1 to 8 tables"),
+    ('[[posture]]\nname = "a"\nlow_m = 0.1\n', "misses the key 'high_m'"),
+    ('[[posture]]\nname = "a"\nlow_m = 0.3\nhigh_m = 0.1\n', "low_m is 0.3; expected at most high_m, 0.1"),
+    ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = nan\n', "high_m is nan; expected 0 to 100 m"),
+    ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = 0.3\nradius = 1\n', "unknown key radius"),
+    ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = 0.3\ncost = 0.5\n', "cost is 0.5; expected 1 to 1000 ratio"),
+    ("num_headings = 3\n" + SPHERES, "found num_headings = 3"),
+    (SPHERES.replace("0.1]", "inf]"), "inf.*; expected -100 to 100 m"),
+    (SPHERES.replace("0.1]", "-0.1]"), "ball_m is -0.1; expected 0 to 1000 m"),
+    ('[[posture]]\nname = "a"\nlow_m = -1e9\nhigh_m = 1\n', "low_m is -1000000000.0; expected 0 to 100 m"),
+    ('[[posture]]\nname = "a"\nlow_m = 0.1\nhigh_m = 0.3\nradius_m = "1"\n', "radius_m is '1'; expected 0 to"),
+    ('num_headings = "8"\n' + SPHERES, "num_headings is '8'; expected 1 to 360 headings"), ("[[posture", "robot"),
+])  # fmt: skip
 def test_a_file_that_is_no_robot_is_refused_with_the_reason(tmp_path, text, complaint):
     path = tmp_path / "bad.toml"
     path.write_text(text)

@@ -54,11 +54,9 @@ def held_share(body, points):
 
 
 @given(
-    size=st.tuples(*[st.floats(0.03, 1.5)] * 3),
-    power=st.sampled_from([0.2, 1.0, 2.0]),
-    seed=st.integers(0, 99),
+    size=st.tuples(*[st.floats(0.03, 1.5)] * 3), power=st.sampled_from([0.2, 1.0, 2.0]), seed=st.integers(0, 99),
     with_sketch=st.booleans(),
-)
+)  # fmt: skip
 @settings(max_examples=40, deadline=None)
 def test_a_stand_in_holds_every_point_with_a_margin(size, power, seed, with_sketch):
     rays = np.random.default_rng(seed).normal(size=(400, 3))

@@ -34,16 +34,14 @@ def yolo(path, boxes, *, prototypes, scores, coefficients, side=64, **options):
     """A YOLOv8-seg graph that finds the same whatever it sees: boxes (N, 4) x, y, w, h, scores (N, classes)."""
     predictions = np.concatenate([boxes, scores, coefficients], axis=1).T[None].astype(np.float32)
     return save(
-        path,
-        anything("predictions", "prototypes"),
+        path, anything("predictions", "prototypes"),
         [
             ("predictions", TensorProto.FLOAT, predictions.shape),
             ("prototypes", TensorProto.FLOAT, (1, *prototypes.shape)),
         ],
         constants=[("predictions_", predictions), ("prototypes_", prototypes[None].astype(np.float32))],
-        image=(1, 3, side, side),
-        **options,
-    )
+        image=(1, 3, side, side), **options,
+    )  # fmt: skip
 
 
 def dino(path, patch=14, extra=1, image=(1, 3, None, None)):
@@ -87,35 +85,26 @@ def sam_pair(folder, *, version=1, radii=(2, 4, 8), ious=(0.95, 0.9, 0.5), low=1
     save(folder / "x.encoder.onnx", nodes, outputs, image=(1, 3, side, side))
     where = np.arange(low, dtype=np.float32) + 0.5
     constants = [
-        ("x_at", where.reshape(1, 1, 1, low)),
-        ("y_at", where.reshape(1, 1, low, 1)),
-        ("squares", np.square(np.float32(radii)).reshape(1, -1, 1, 1)),
-        ("ious_", np.float32([ious])),
-        ("quarter", np.float32(0.25)),
-        ("zero", np.float32(0)),
+        ("x_at", where.reshape(1, 1, 1, low)), ("y_at", where.reshape(1, 1, low, 1)),
+        ("squares", np.square(np.float32(radii)).reshape(1, -1, 1, 1)), ("ious_", np.float32([ious])),
+        ("quarter", np.float32(0.25)), ("zero", np.float32(0)),
         *((name, np.array([i])) for i, name in enumerate(("first", "second", "third"))),
-        ("shape", np.array([-1, 1, 1, 1])),
-        ("column", np.array([-1, 1])),
-    ]
+        ("shape", np.array([-1, 1, 1, 1])), ("column", np.array([-1, 1])),
+    ]  # fmt: skip
     nodes = [
         helper.make_node("Slice", ["point_coords", "first", "second", "second"], ["prompt"]),
         helper.make_node("Mul", ["prompt", "quarter"], ["cell"]),
         helper.make_node("Slice", ["cell", "first", "second", "third"], ["x_"]),
         helper.make_node("Slice", ["cell", "second", "third", "third"], ["y_"]),
-        helper.make_node("Reshape", ["x_", "shape"], ["x"]),
-        helper.make_node("Reshape", ["y_", "shape"], ["y"]),
-        helper.make_node("Sub", ["x_at", "x"], ["dx"]),
-        helper.make_node("Sub", ["y_at", "y"], ["dy"]),
-        helper.make_node("Mul", ["dx", "dx"], ["dx2"]),
-        helper.make_node("Mul", ["dy", "dy"], ["dy2"]),
-        helper.make_node("Add", ["dx2", "dy2"], ["off"]),
-        helper.make_node("Sub", ["squares", "off"], ["inside"]),
+        helper.make_node("Reshape", ["x_", "shape"], ["x"]), helper.make_node("Reshape", ["y_", "shape"], ["y"]),
+        helper.make_node("Sub", ["x_at", "x"], ["dx"]), helper.make_node("Sub", ["y_at", "y"], ["dy"]),
+        helper.make_node("Mul", ["dx", "dx"], ["dx2"]), helper.make_node("Mul", ["dy", "dy"], ["dy2"]),
+        helper.make_node("Add", ["dx2", "dy2"], ["off"]), helper.make_node("Sub", ["squares", "off"], ["inside"]),
         helper.make_node("Mul", [names[-1], "zero"], ["nothing"]),
         helper.make_node("Add", ["inside", "nothing"], ["low_res_masks" if version == 1 else "all"]),
-        helper.make_node("Reshape", ["x", "column"], ["each"]),
-        helper.make_node("Mul", ["each", "zero"], ["no_iou"]),
+        helper.make_node("Reshape", ["x", "column"], ["each"]), helper.make_node("Mul", ["each", "zero"], ["no_iou"]),
         helper.make_node("Add", ["ious_", "no_iou"], ["iou_predictions"]),
-    ]
+    ]  # fmt: skip
     prompts = [("point_coords", (num, None, 2)), ("point_labels", (num, None)), ("mask_input", (1, 1, low, low))]
     inputs = [*((name, (1, 1, 1, 1)) for name in names), *prompts]
     if version == 1:

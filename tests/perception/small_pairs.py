@@ -40,12 +40,10 @@ def write_pair(folder, *, length=None, with_mask=True, output="embeds"):
         inputs.append(helper.make_tensor_value_info("attention_mask", TensorProto.INT64, (1, length or "tokens")))
         nodes.insert(0, helper.make_node("Identity", ["attention_mask"], ["unused"]))
     _save(
-        folder / "text_model.onnx",
-        nodes,
-        inputs,
+        folder / "text_model.onnx", nodes, inputs,
         helper.make_tensor_value_info(f"text_{output}", TensorProto.FLOAT, (1, 3)),
         {"words": np.array(list(WORDS.values()), np.float32), "axis": np.array([1])},
-    )
+    )  # fmt: skip
     tokenizer = Tokenizer(WordLevel({word: i for i, word in enumerate(WORDS)}, unk_token="[UNK]"))
     tokenizer.pre_tokenizer = Whitespace()
     tokenizer.save(str(folder / "tokenizer.json"))

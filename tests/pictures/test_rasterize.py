@@ -21,13 +21,11 @@ def surfaces():
     random = np.random.default_rng(3)
     return [
         Surface(
-            vertices=mesh.vertices + np.array([0, 0, 0.5]),
-            faces=mesh.faces,
-            colors=random.integers(0, 255, (len(mesh.vertices), 3)).astype(np.uint8),
-            owner=owner,
+            vertices=mesh.vertices + np.array([0, 0, 0.5]), faces=mesh.faces,
+            colors=random.integers(0, 255, (len(mesh.vertices), 3)).astype(np.uint8), owner=owner,
         )
         for owner, mesh in ((4, ball), (9, box))
-    ]
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -104,11 +104,9 @@ def test_points_of_a_turning_sensor_are_straightened():
             points = still.points.astype(np.float64)
             seen = np.stack([apply(now[min(int(t * 100), 9)], p) for t, p in zip(times, points, strict=True)])
             scan = Scan(
-                stamp_ns=round(i * 1e8),
-                frame="lidar",
-                points=seen.astype(np.float32),
+                stamp_ns=round(i * 1e8), frame="lidar", points=seen.astype(np.float32),
                 times_s=times if name == "deskewed" else None,
-            )
+            )  # fmt: skip
             found = each.register(scan)
         errors[name] = float(np.linalg.norm(found.start_from_sensor[:3, 3] - start[:3, 3]))
     assert errors["deskewed"] < 0.05

@@ -54,26 +54,18 @@ def test_a_question_that_counts_is_told_from_one_that_looks():
     assert not question_of("red boxes").counts
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("something to sit on near the window", 'the word "window"'),
-        ("a gren box", '"gren" (did you mean green?)'),
-        ("a botle on a table", '"botle" (did you mean bottle?)'),
-        ("how meny boxes", '"how" (did you mean how many?)'),
-        ("a red botle", '"botle" (did you mean bottle?)'),
-        (
-            "a wine bottle",
-            '"wine", which size, shape, colour and place of objects do not define; things that they define: ',
-        ),
-        ("", "what to look for"),
-        ("a box on", 'ends after "on"'),
-        ("taller than a box", "a length, e.g. taller than 0.5 m"),
-        ("taller than", 'a length after "taller than"'),
-        ("nearest box", '"nearest to"'),
-        ("red " * 200, "800 characters"),
-    ],
-)
+@pytest.mark.parametrize(("text", "complaint"), [
+    ("something to sit on near the window", 'the word "window"'), ("a gren box", '"gren" (did you mean green?)'),
+    ("a botle on a table", '"botle" (did you mean bottle?)'), ("how meny boxes", '"how" (did you mean how many?)'),
+    ("a red botle", '"botle" (did you mean bottle?)'),
+    (
+        "a wine bottle",
+        '"wine", which size, shape, colour and place of objects do not define; things that they define: ',
+    ),
+    ("", "what to look for"), ("a box on", 'ends after "on"'),
+    ("taller than a box", "a length, e.g. taller than 0.5 m"), ("taller than", 'a length after "taller than"'),
+    ("nearest box", '"nearest to"'), ("red " * 200, "800 characters"),
+])  # fmt: skip
 def test_what_is_no_question_is_refused_in_one_line(text, complaint):
     with pytest.raises(InputError, match=re.escape(complaint)) as refused:
         question_of(text)

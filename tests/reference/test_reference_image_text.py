@@ -58,12 +58,10 @@ def test_tokens_are_those_of_the_package(tmp_path, with_mask):
     folder = write_pair(tmp_path, with_mask=with_mask)
     tokenizer.save_pretrained(folder)
     pair = ImageTextNetwork(
-        Network(folder / "vision_model.onnx", CPU),
-        Network(folder / "text_model.onnx", CPU),
-        tokenizer=folder / "tokenizer.json",
-        preprocessor=folder / "preprocessor_config.json",
+        Network(folder / "vision_model.onnx", CPU), Network(folder / "text_model.onnx", CPU),
+        tokenizer=folder / "tokenizer.json", preprocessor=folder / "preprocessor_config.json",
         tokenizer_config=folder / "tokenizer_config.json",
-    )
+    )  # fmt: skip
     texts = (
         "a photo of a mug.", "A Window", "it's 10 mugs", "", "x" * 100, "  two   spaces ",
         "caf\u00e9 \u2014 na\u00efve",

@@ -99,13 +99,10 @@ def exported(sam, folder, *, is_batched):
 
     grid = SIDE // 16
     tensors = {
-        "image_embeddings": torch.zeros(1, DIM, grid, grid),
-        "point_coords": torch.zeros(2 if is_batched else 1, 2, 2),
-        "point_labels": torch.ones(2 if is_batched else 1, 2),
-        "mask_input": torch.zeros(1, 1, 4 * grid, 4 * grid),
-        "has_mask_input": torch.zeros(1),
-        "orig_im_size": torch.tensor([150.0, 200.0]),
-    }
+        "image_embeddings": torch.zeros(1, DIM, grid, grid), "point_coords": torch.zeros(2 if is_batched else 1, 2, 2),
+        "point_labels": torch.ones(2 if is_batched else 1, 2), "mask_input": torch.zeros(1, 1, 4 * grid, 4 * grid),
+        "has_mask_input": torch.zeros(1), "orig_im_size": torch.tensor([150.0, 200.0]),
+    }  # fmt: skip
     axes = {0: "prompts", 1: "points"} if is_batched else {1: "points"}
     options = {"opset_version": 18, "dynamo": False}
     torch.onnx.export(

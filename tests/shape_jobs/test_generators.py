@@ -74,17 +74,10 @@ def test_a_generated_shape_replaces_the_embedded_one(inputs):
     assert 0 < made.mesh.is_seen.sum() < len(made.mesh.is_seen)
 
 
-@pytest.mark.parametrize(
-    ("misdeed", "said"),
-    [
-        ("torn", "not usable"),
-        ("nan", "not finite|finite float32"),
-        ("huge", "not usable"),
-        ("outside", "not usable"),
-        ("another", "another job"),
-        ("none", "hardly any depth"),
-    ],
-)
+@pytest.mark.parametrize(("misdeed", "said"), [
+    ("torn", "not usable"), ("nan", "not finite|finite float32"), ("huge", "not usable"), ("outside", "not usable"),
+    ("another", "another job"), ("none", "hardly any depth"),
+])  # fmt: skip
 def test_a_hostile_answer_is_no_mesh(inputs, tmp_path, misdeed, said):
     job = write_question(tmp_path, inputs, 1)
     answer(tmp_path, job, [misdeed])
@@ -167,16 +160,11 @@ def test_a_startable_generator_is_chosen_and_is_in_the_cache_key(toml):
     assert fingerprint(read_spec(toml)) == fingerprint(replace(read_spec(toml), time_s=1.0))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ('name = "a"', "lacks command"),
-        ('name = "a"\ncommand = ["b"]\ntime_s = -1', "time_s"),
-        ('name = "a"\ncommand = ["b"]\nspeed = 3', "speed"),
-        ('name = "a"\ncommand = []', "must not be empty"),
-        ("name = ", "is not TOML"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ('name = "a"', "lacks command"), ('name = "a"\ncommand = ["b"]\ntime_s = -1', "time_s"),
+    ('name = "a"\ncommand = ["b"]\nspeed = 3', "speed"), ('name = "a"\ncommand = []', "must not be empty"),
+    ("name = ", "is not TOML"),
+])  # fmt: skip
 def test_a_toml_that_describes_no_generator_is_refused(tmp_path, text, said):
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(ConfigError, match=said):
@@ -203,11 +191,9 @@ def test_made_up_surface_is_withdrawn_when_free_space_is_seen(tmp_path, toml, ca
     chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.accept_licence=I do research")
     # All else that would ask again is switched off.
     rare = (
-        "mapping.requests.interval_s=0",
-        "mapping.requests.min_gain=1.95",
-        "mapping.requests.final_gain=9",
+        "mapping.requests.interval_s=0", "mapping.requests.min_gain=1.95", "mapping.requests.final_gain=9",
         "shapes.judgement.max_less=0.3",
-    )
+    )  # fmt: skip
     walk = SceneSource(14, SCENE_BOXES[-1:], step_of=lambda i: i // 2 if i < 6 else 3 * i - 15)
     run = map_scene(
         tmp_path, *chosen, *rare, source=walk, segmenter=InstanceSegmenter(walk.instances), child_workers=True

@@ -14,11 +14,9 @@ from hickory_stream.ports import Crop, MeshPlacement, ShapeInputs
 
 CORNERS = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]], np.float32)
 MESH = Mesh(
-    vertices=CORNERS,
-    faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32),
-    colors=np.zeros((4, 3), np.uint8),
-    is_seen=np.ones(4, bool),
-)
+    vertices=CORNERS, faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32),
+    colors=np.zeros((4, 3), np.uint8), is_seen=np.ones(4, bool),
+)  # fmt: skip
 FIRST = np.eye(4)
 FIRST[:3, :3], FIRST[:3, 3] = 0.1 * np.diag([1.0, 1.2, 1.0]), (1.0, 2.0, 0.5)
 TOLD = np.eye(4)

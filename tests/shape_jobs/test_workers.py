@@ -161,15 +161,10 @@ def test_children_of_a_live_run_give_way_to_others(tmp_path):
 ONCE = ("mapping.requests.max_failures=1", "mapping.requests.first_sightings=99")
 
 
-@pytest.mark.parametrize(
-    ("way", "reasons", "is_reproducible"),
-    [
-        ("empty+nan+raises", ("an empty mesh", "not finite", "out of ideas"), True),
-        ("segfaults", ("SIGSEGV",), False),
-        ("hangs", ("no answer within 1 s",), False),
-        ("grows", ("more than 300 MB of memory",), False),
-    ],
-)
+@pytest.mark.parametrize(("way", "reasons", "is_reproducible"), [
+    ("empty+nan+raises", ("an empty mesh", "not finite", "out of ideas"), True), ("segfaults", ("SIGSEGV",), False),
+    ("hangs", ("no answer within 1 s",), False), ("grows", ("more than 300 MB of memory",), False),
+])  # fmt: skip
 def test_a_failing_job_says_why_and_leaves_the_rest_of_the_map(tmp_path, way, reasons, is_reproducible):
     python = write_interpreter(tmp_path / "python", way)
     limits = ("run.job_timeout_s=1.0",) if way == "hangs" else ("run.job_memory_mb=300.0",) if way == "grows" else ()

@@ -19,11 +19,9 @@ __all__ = ["MESH_NAMES", "test_mesh"]
 def as_mesh(shape):
     count = len(shape.vertices)
     return Mesh(
-        vertices=shape.vertices,
-        faces=shape.faces,
-        colors=np.full((count, 3), 128, np.uint8),
+        vertices=shape.vertices, faces=shape.faces, colors=np.full((count, 3), 128, np.uint8),
         is_seen=np.ones(count, bool),
-    )
+    )  # fmt: skip
 
 
 def ray_scene(meshes):

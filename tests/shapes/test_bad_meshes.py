@@ -20,11 +20,9 @@ COARSE = FitConfig(cells=24, joint_samples=800)
 def mesh_of(vertices, faces):
     vertices = np.asarray(vertices, dtype=np.float32).reshape(-1, 3)
     return Mesh(
-        vertices=vertices,
-        faces=np.asarray(faces, dtype=np.int32).reshape(-1, 3),
-        colors=np.zeros((len(vertices), 3), np.uint8),
-        is_seen=np.ones(len(vertices), bool),
-    )
+        vertices=vertices, faces=np.asarray(faces, dtype=np.int32).reshape(-1, 3),
+        colors=np.zeros((len(vertices), 3), np.uint8), is_seen=np.ones(len(vertices), bool),
+    )  # fmt: skip
 
 
 def certified(mesh, margin, config=COARSE):
@@ -115,12 +113,10 @@ def test_a_wasteful_reconstructors_shape_keeps_its_surface():
             return Reconstruction(mesh=replace(mesh, is_seen=np.arange(9) < 8), world_from_object=np.eye(4))
 
     inputs = ShapeInputs(
-        points_world=np.asarray(BOX.vertices, np.float32),
-        colors=np.zeros((8, 3), np.uint8),
-        box=OrientedBox(world_from_box=np.eye(4), half_extents_m=np.array([0.2, 0.15, 0.1])),
-        support_z_m=None,
+        points_world=np.asarray(BOX.vertices, np.float32), colors=np.zeros((8, 3), np.uint8),
+        box=OrientedBox(world_from_box=np.eye(4), half_extents_m=np.array([0.2, 0.15, 0.1])), support_z_m=None,
         crops=(),
-    )
+    )  # fmt: skip
     built = build_shape(inputs, Wasteful(), ShapeConfig(fit=COARSE))
     assert len(built.reconstruction.mesh.vertices) == 8
     assert (built.seen_share == 1.0).all()
@@ -140,17 +136,13 @@ def test_three_millimetres_and_three_kilometres_work_as_a_metre(scale):
     assert certified(as_mesh(shape), min(0.02 * scale, 2.0), FitConfig()).semi_axes_m.max() < scale
 
 
-@pytest.mark.parametrize(
-    ("mesh", "reason"),
-    [
-        (mesh_of(np.empty((0, 3)), np.empty((0, 3))), "no triangles"),
-        (mesh_of([[0, 0, 0], [1, 0, 0], [np.nan, 1, 0]], [[0, 1, 2]]), "1 of 3 vertices are not finite"),
-        (mesh_of([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]]), "not finite"),
-        (mesh_of([[1, 2, 3]] * 3, [[0, 1, 2]]), "one point"),
-        (mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 7]]), "vertex indices out of range"),
-    ],
-    ids=["empty", "nan", "infinite", "point", "wrong-index"],
-)
+@pytest.mark.parametrize(("mesh", "reason"), [
+    (mesh_of(np.empty((0, 3)), np.empty((0, 3))), "no triangles"),
+    (mesh_of([[0, 0, 0], [1, 0, 0], [np.nan, 1, 0]], [[0, 1, 2]]), "1 of 3 vertices are not finite"),
+    (mesh_of([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]]), "not finite"),
+    (mesh_of([[1, 2, 3]] * 3, [[0, 1, 2]]), "one point"),
+    (mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 7]]), "vertex indices out of range"),
+], ids=["empty", "nan", "infinite", "point", "wrong-index"])  # fmt: skip
 def test_what_is_no_mesh_is_refused_with_its_reason(mesh, reason):
     with pytest.raises(ValueError, match=reason):
         fit_superquadrics(mesh, FitConfig())

@@ -23,24 +23,11 @@ def union_iou(primitives, mesh):
     return float((inside & truth).sum() / (inside | truth).sum())
 
 
-@pytest.mark.parametrize(
-    ("name", "most", "iou"),
-    [
-        ("box", 1, 0.97),
-        ("cylinder", 1, 0.97),
-        ("sphere", 1, 0.97),
-        ("ellipsoid", 1, 0.97),
-        ("capsule", 2, 0.95),
-        ("bottle", 4, 0.92),
-        ("mug", 6, 0.95),
-        ("chair", 7, 0.85),
-        ("table", 6, 0.9),
-        ("shelf", 3, 0.95),
-        ("monitor", 4, 0.9),
-        ("torus", 9, 0.88),
-        ("organic", 4, 0.93),
-    ],
-)
+@pytest.mark.parametrize(("name", "most", "iou"), [
+    ("box", 1, 0.97), ("cylinder", 1, 0.97), ("sphere", 1, 0.97), ("ellipsoid", 1, 0.97), ("capsule", 2, 0.95),
+    ("bottle", 4, 0.92), ("mug", 6, 0.95), ("chair", 7, 0.85), ("table", 6, 0.9), ("shelf", 3, 0.95),
+    ("monitor", 4, 0.9), ("torus", 9, 0.88), ("organic", 4, 0.93),
+])  # fmt: skip
 def test_few_primitives_explain_the_object(name, most, iou):
     fitted = fit_superquadrics(as_mesh(test_mesh(name)), CONFIG)
     assert len(fitted) <= most

@@ -61,12 +61,9 @@ def test_the_net_encloses_the_sphere():
 
 
 @given(
-    primitives(),
-    st.integers(0, 10_000),
-    st.sampled_from([0.5, 1.0]),
-    st.sampled_from(["per_axis", "single_factor"]),
+    primitives(), st.integers(0, 10_000), st.sampled_from([0.5, 1.0]), st.sampled_from(["per_axis", "single_factor"]),
     st.sampled_from([0.0, 0.01, 0.3]),
-)
+)  # fmt: skip
 def test_inflation_holds_the_ball_around_every_point(before, seed, g, rule, margin):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(60, 3))

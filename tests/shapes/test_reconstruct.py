@@ -137,13 +137,11 @@ def test_the_seen_share_is_that_of_the_area(cut, share):
     place = from_rotation_translation(np.eye(3), np.array([2.0, -1.0, 0.5]))
     reconstruction = Reconstruction(
         mesh=Mesh(
-            vertices=ball.vertices.astype(np.float32),
-            faces=ball.faces.astype(np.int32),
-            colors=np.zeros((len(ball.vertices), 3), np.uint8),
-            is_seen=np.asarray(ball.vertices[:, 2] > cut),
+            vertices=ball.vertices.astype(np.float32), faces=ball.faces.astype(np.int32),
+            colors=np.zeros((len(ball.vertices), 3), np.uint8), is_seen=np.asarray(ball.vertices[:, 2] > cut),
         ),
         world_from_object=place,
-    )
+    )  # fmt: skip
     fitted = quadric((1.0, 1.0), (0.5, 0.5, 0.5), place)
     assert seen_shares(fitted, reconstruction) == pytest.approx([share], abs=0.02)
 

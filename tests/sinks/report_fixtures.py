@@ -31,14 +31,8 @@ PERIOD_NS = 66_666_667
 KEYFRAME_EVERY = 4
 SHAPE_FRAME = 12
 _COLORS = [
-    (196, 86, 60),
-    (70, 130, 190),
-    (120, 170, 80),
-    (205, 170, 70),
-    (150, 100, 170),
-    (90, 170, 165),
-    (180, 180, 175),
-]
+    (196, 86, 60), (70, 130, 190), (120, 170, 80), (205, 170, 70), (150, 100, 170), (90, 170, 165), (180, 180, 175),
+]  # fmt: skip
 
 
 def boxes(count=7):
@@ -95,9 +89,7 @@ class SyntheticRun:
         )  # fmt: skip
         observed = self._observe(frame, instances)
         return FrameReport(
-            keyframe_index=index // KEYFRAME_EVERY,
-            frame=frame,
-            observations=tuple(o for _, o in observed),
+            keyframe_index=index // KEYFRAME_EVERY, frame=frame, observations=tuple(o for _, o in observed),
             object_ids=tuple(i for i, _ in observed),
             decisions=(
                 *(Decision(kind="associate", object_id=i, text=f"mask {o.index}: IoU 0.81") for i, o in observed),
@@ -105,13 +97,12 @@ class SyntheticRun:
             ),
             snapshot=self._snapshot(frame, is_merged),
             metrics=(
-                ("time/segment", 0.021 + 0.004 * np.sin(index)),
-                ("time/associate", 0.003),
+                ("time/segment", 0.021 + 0.004 * np.sin(index)), ("time/associate", 0.003),
                 ("queue/shapes", float(index % 5)),
                 *((f"score/{i}", view.score) for i, view in sorted(self.best.items())),
             ),
             **shared,
-        )
+        )  # fmt: skip
 
     def _observe(self, frame, instances):
         points_world = apply(frame.world_from_camera, backproject(frame.depth_m, frame.camera))
@@ -171,11 +162,9 @@ def _write_shapes(shown, folder):
     for i, box in enumerate(shown, start=1):
         solid = trimesh.creation.box(2 * box.half_extents_m)
         mesh = Mesh(
-            vertices=solid.vertices,
-            faces=solid.faces,
-            colors=np.tile(np.array(_COLORS[i - 1], np.uint8), (8, 1)),
+            vertices=solid.vertices, faces=solid.faces, colors=np.tile(np.array(_COLORS[i - 1], np.uint8), (8, 1)),
             is_seen=np.ones(8, dtype=bool),
-        )
+        )  # fmt: skip
         write_glb(mesh, folder / "shapes" / f"{i}.glb")
         shapes[i] = ObjectShape(
             revision=i, reconstructor="fused", mesh_name=f"{i}.glb", mesh_sha256=sha256_of(mesh),

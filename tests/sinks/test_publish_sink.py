@@ -175,16 +175,12 @@ def test_a_goal_in_the_odometry_frame_is_moved_into_the_map():
     assert (last.x, last.y) == (1.5, 3.0)
 
 
-@pytest.mark.parametrize(
-    ("goal", "of", "text"),
-    [
-        (b"\0\1\0\0\x05", room(), "no PoseStamped"),
-        (goal_message(0, np.array([np.nan, 0.0])), room(), "no PoseStamped"),
-        (goal_message(0, np.zeros(2), "laser"), room(), "found the frame 'laser', expected map or odom"),
-        (goal_message(0, np.zeros(2)), None, "nothing was mapped yet"),
-        (goal_message(0, np.array([99.0, 0.0])), room(), "goal"),
-    ],
-)
+@pytest.mark.parametrize(("goal", "of", "text"), [
+    (b"\0\1\0\0\x05", room(), "no PoseStamped"), (goal_message(0, np.array([np.nan, 0.0])), room(), "no PoseStamped"),
+    (goal_message(0, np.zeros(2), "laser"), room(), "found the frame 'laser', expected map or odom"),
+    (goal_message(0, np.zeros(2)), None, "nothing was mapped yet"),
+    (goal_message(0, np.array([99.0, 0.0])), room(), "goal"),
+])  # fmt: skip
 def test_a_bad_goal_is_refused_in_a_line(goal, of, text, caplog):
     link, fates = asked(goal, of)
     assert fates["refused"] == 1

@@ -288,14 +288,10 @@ def test_from_half_of_its_cap_on_a_file_has_images_of_keyframes(tmp_path, monkey
     assert len(rows["/world/camera"]) == 9
 
 
-@pytest.mark.parametrize(
-    ("config", "change", "frames"),
-    [
-        (RerunConfig(color_every=3), {}, [0, 3, 4, 6, 8]),
-        (RerunConfig(), {"change": lambda report: replace(report, color_bytes=None)}, [0, 4, 8]),
-    ],
-    ids=["every third one", "encoded here"],
-)
+@pytest.mark.parametrize(("config", "change", "frames"), [
+    (RerunConfig(color_every=3), {}, [0, 3, 4, 6, 8]),
+    (RerunConfig(), {"change": lambda report: replace(report, color_bytes=None)}, [0, 4, 8]),
+], ids=["every third one", "encoded here"])  # fmt: skip
 def test_colour_of_every_nth_frame_and_of_keyframes_is_kept(tmp_path, config, change, frames):
     rows = rows_of(play(tmp_path, config, num_frames=9, **change))
     assert [row["frame"] for row in rows["/world/camera/color"]] == frames

@@ -91,12 +91,10 @@ def test_exchanged_onnx_crops_and_answers_give_other_results(exchanged):
     with faked("foundationpose_onnx") as module:
         crop = module.six_channels
         others = {
-            "INPUTS": module.INPUTS[::-1],
-            "MOVES": module.MOVES[::-1],
-            "TURN": -module.TURN,
+            "INPUTS": module.INPUTS[::-1], "MOVES": module.MOVES[::-1], "TURN": -module.TURN,
             "blue first": lambda *given: crop(*given)[..., [2, 1, 0, 3, 4, 5]],
             "y up": lambda *given: crop(*given) * np.float32([1, 1, 1, 1, -1, 1]),
-        }
+        }  # fmt: skip
         setattr(module, exchanged if exchanged.isupper() else "six_channels", others[exchanged])
         assert "off its place" in graph_fault(module)
 

@@ -79,17 +79,13 @@ def test_foreign_writes_and_uncaught_errors_are_reported(sound, tmp_path):
     shutil.copytree(sound, tmp_path / "a/b/c/map")
     commands = [["export", str(tmp_path / "a/b/c/map"), "--format", "ply", "-o", str(tmp_path / "elsewhere.ply")]]
     told = in_a_process_of_its_own(
-        "import json, dataclasses, os\n"
-        "from pathlib import Path\n"
-        "import tools.benchmarks.logs.damaged_maps as bench\n"
-        f"folder = Path({str(tmp_path / 'a/b/c')!r})\n"
-        f"outside = bench._tried('case', {commands!r}, folder)\n"
-        "bench._main = lambda command: open(command[0])\n"
-        "crash = bench._tried('case', [['no such file']], folder)\n"
-        "bench._main = lambda command: os.abort()\n"
+        "import json, dataclasses, os\n" "from pathlib import Path\n"
+        "import tools.benchmarks.logs.damaged_maps as bench\n" f"folder = Path({str(tmp_path / 'a/b/c')!r})\n"
+        f"outside = bench._tried('case', {commands!r}, folder)\n" "bench._main = lambda command: open(command[0])\n"
+        "crash = bench._tried('case', [['no such file']], folder)\n" "bench._main = lambda command: os.abort()\n"
         "abort = bench._tried('case', [['x']], folder)\n"
         "print(json.dumps([dataclasses.asdict(tally) for tally in (outside, crash, abort)]))"
-    )
+    )  # fmt: skip
     outside, crash, abort = told
     assert any("elsewhere" in text for text in outside["outside"])
     assert outside["crashes"] == []

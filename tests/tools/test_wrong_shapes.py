@@ -5,11 +5,9 @@ from tools.benchmarks.shapes.outcomes import Outcome
 
 def test_what_is_kept_costs_what_fused_was_better_or_nothing():
     outcomes = [
-        Outcome(blended=0.7, fused=0.9, is_kept=True),
-        Outcome(blended=0.95, fused=0.85, is_kept=True),
-        Outcome(blended=0.2, fused=1.0, is_kept=False),
-        None,
-    ]
+        Outcome(blended=0.7, fused=0.9, is_kept=True), Outcome(blended=0.95, fused=0.85, is_kept=True),
+        Outcome(blended=0.2, fused=1.0, is_kept=False), None,
+    ]  # fmt: skip
     share, less = kept_figures("wrong", outcomes, 10, "objects")
     assert (share.name, share.value) == ("wrong_kept_fraction", pytest.approx(0.2))
     assert share.of.startswith("2 of 10 objects")

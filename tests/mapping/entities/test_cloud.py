@@ -121,20 +121,14 @@ def with_hits(hits):
 @pytest.mark.parametrize(
     ("sightings", "hits", "kept"),
     [
-        (3, [1, 1, 3, 3, 3], 5),
-        (4, [1, 1, 3, 3, 3], 3),
-        (11, [1, 2, 3, 3, 3], 4),
-        (12, [1, 2, 3, 3, 3], 3),
+        (3, [1, 1, 3, 3, 3], 5), (4, [1, 1, 3, 3, 3], 3), (11, [1, 2, 3, 3, 3], 4), (12, [1, 2, 3, 3, 3], 3),
         (12, [1, 1, 2, 3, 3], 5),
     ],
     ids=[
-        "young: all",
-        "seen again: what one frame saw goes",
-        "still two are enough",
-        "seen often: three",
+        "young: all", "seen again: what one frame saw goes", "still two are enough", "seen often: three",
         "far: more than half would go",
     ],
-)
+)  # fmt: skip
 def test_the_solid_part_is_what_was_seen_again_unless_little(sightings, hits, kept):
     assert len(solid_part(with_hits(hits), sightings).keys) == kept
 
@@ -180,11 +174,9 @@ def test_points_that_are_one_per_voxel_already_are_the_cloud(seed):
 def random_cloud(steps, seed):
     count, rng = len(steps), np.random.default_rng(seed)
     return Cloud(
-        keys=np.cumsum(steps, dtype=np.int64) - (1 << 40),
-        points=rng.normal(size=(count, 3)).astype(np.float32),
-        colors=rng.uniform(0, 255, (count, 3)).astype(np.float32),
-        hits=rng.integers(1, 9, count).astype(np.int32),
-    )
+        keys=np.cumsum(steps, dtype=np.int64) - (1 << 40), points=rng.normal(size=(count, 3)).astype(np.float32),
+        colors=rng.uniform(0, 255, (count, 3)).astype(np.float32), hits=rng.integers(1, 9, count).astype(np.int32),
+    )  # fmt: skip
 
 
 def bytes_of(cloud):

@@ -38,12 +38,10 @@ def there(phase, *, points=BOX, observed_s=9.0, unseen_s=0.0, seen_through_s=0.0
     state = MapState(submaps=first_submap(SPACE_M), clock_ns=round((7 + unseen_s) * SECOND_NS), next_id=9)
     state.keyframe_ns = SECOND_NS
     item = replace(
-        track(1, points, phase=phase),
-        seen_clock_ns=7 * SECOND_NS,
-        seen_through_ns=round(seen_through_s * SECOND_NS),
+        track(1, points, phase=phase), seen_clock_ns=7 * SECOND_NS, seen_through_ns=round(seen_through_s * SECOND_NS),
         observed_ns=round(observed_s * SECOND_NS),
         shape_state=ShapeState() if phase is TENTATIVE else ShapeState(open_ticket=5),
-    )
+    )  # fmt: skip
     state.tracks = TrackTable({item.id: item, **{other.id: other for other in others}})
     return state
 

@@ -127,18 +127,10 @@ def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
     assert found(merging.VoteBook(), chair, mug, table) is None
 
 
-@pytest.mark.parametrize(
-    ("together_s", "apart_s", "verdict"),
-    [
-        (0.7, 0, None),
-        (0.8, 0, (1, 2)),
-        (0.8, 0.7, (1, 2)),
-        (0.8, 0.8, None),
-        (0.8, 3, None),
-        (2.5, 3, None),
-        (0, 0, None),
-    ],
-)
+@pytest.mark.parametrize(("together_s", "apart_s", "verdict"), [
+    (0.7, 0, None), (0.8, 0, (1, 2)), (0.8, 0.7, (1, 2)), (0.8, 0.8, None), (0.8, 3, None), (2.5, 3, None),
+    (0, 0, None),
+])  # fmt: skip
 def test_pieces_merge_when_seen_as_one_more_often_than_apart(together_s, apart_s, verdict):
     book = merging.VoteBook().plus(
         [(1, 2)], together_ns=round(together_s * SECOND_NS), apart_ns=round(apart_s * SECOND_NS)

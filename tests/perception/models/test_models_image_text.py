@@ -58,19 +58,14 @@ def test_published_files_are_found_and_missing_ones_are_named(tmp_path):
         published_files(folder)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "complaint"),
-    [
-        ("tokenizer.json", "{}", "no tokenizer"),
-        ("tokenizer_config.json", "[]", "no JSON object"),
-        ("preprocessor_config.json", "{}", "no pre-processing"),
-        ("preprocessor_config.json", "no", "no pre-processing"),
-        ("preprocessor_config.json", json.dumps({**PREPROCESSING, "crop_size": 99}), "crop_size"),
-        ("preprocessor_config.json", json.dumps({**PREPROCESSING, "size": 10**9}), "1 to 4096"),
-        ("preprocessor_config.json", json.dumps({**PREPROCESSING, "resample": 17}), "resample 17"),
-        ("preprocessor_config.json", json.dumps({**PREPROCESSING, "image_std": [1, 1, 0]}), "three finite"),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "complaint"), [
+    ("tokenizer.json", "{}", "no tokenizer"), ("tokenizer_config.json", "[]", "no JSON object"),
+    ("preprocessor_config.json", "{}", "no pre-processing"), ("preprocessor_config.json", "no", "no pre-processing"),
+    ("preprocessor_config.json", json.dumps({**PREPROCESSING, "crop_size": 99}), "crop_size"),
+    ("preprocessor_config.json", json.dumps({**PREPROCESSING, "size": 10**9}), "1 to 4096"),
+    ("preprocessor_config.json", json.dumps({**PREPROCESSING, "resample": 17}), "resample 17"),
+    ("preprocessor_config.json", json.dumps({**PREPROCESSING, "image_std": [1, 1, 0]}), "three finite"),
+])  # fmt: skip
 def test_files_that_say_nothing_are_refused_in_one_line(tmp_path, name, content, complaint):
     folder = write_pair(tmp_path)
     (folder / name).write_text(content)

@@ -73,18 +73,12 @@ def test_a_file_of_another_model_is_not_replaced(added, dino):
         library.add_model(folder, dino, entry_of(dino, name="other"))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "{",
-        "[]",
-        '{"format": 2, "models": {}}',
-        '{"format": 1, "models": {"a": 3}}',
-        '{"format": 1, "models": {"a": {"colour": "red"}}}',
-        json.dumps({"format": 1, "models": {"a": {"kind": "dinov2", "file": "../a", "sha256": "0" * 64}}}),
-        json.dumps({"format": 1, "models": {"a": {"kind": "cat", "file": "a", "sha256": "0" * 64}}}),
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "{", "[]", '{"format": 2, "models": {}}', '{"format": 1, "models": {"a": 3}}',
+    '{"format": 1, "models": {"a": {"colour": "red"}}}',
+    json.dumps({"format": 1, "models": {"a": {"kind": "dinov2", "file": "../a", "sha256": "0" * 64}}}),
+    json.dumps({"format": 1, "models": {"a": {"kind": "cat", "file": "a", "sha256": "0" * 64}}}),
+])  # fmt: skip
 def test_a_manifest_that_is_none_is_refused_by_its_path(tmp_path, text):
     (tmp_path / library.MANIFEST).write_text(text)
     with pytest.raises(ModelError, match=r"manifest\.json"):

@@ -81,17 +81,8 @@ def test_absolute_colours_and_heights_do_not_join_things(pieces, graph):
     other_pairs, after = pair_features(moved, np.arange(count), count)
     np.testing.assert_array_equal(other_pairs, pairs)
     sizes = (
-        "_m",
-        "_m2",
-        "_m3",
-        "_pixels",
-        "_members",
-        "_light",
-        "_chroma",
-        "touch",
-        "bridged_level",
-        "bridged_upright",
-    )
+        "_m", "_m2", "_m3", "_pixels", "_members", "_light", "_chroma", "touch", "bridged_level", "bridged_upright",
+    )  # fmt: skip
     bins = ("lows", "highs", "over_", "height", "seam_in")
     for name, values in before.items():
         if not name.endswith(sizes) and not any(

@@ -82,18 +82,14 @@ def test_features_of_a_pair_are_those_of_larger_and_smaller_part():
 LARGE, SMALL = np.array([0]), np.array([1])
 # A table 1.2 m wide of four pixels and a box 0.2 m wide of two on its right end, which it touches with two pixels.
 REGIONS = replace(
-    Regions(**{field.name: np.zeros(2) for field in fields(Regions)}),
-    pixels=np.array([4.0, 2.0]),
-    place=np.array([[0.0, 4.0, 2.0], [1.0, 2.0, 1.6]]),
-    low=np.array([[-0.6, 0.5, 0.4], [0.4, 0.9, 0.6]]),
+    Regions(**{field.name: np.zeros(2) for field in fields(Regions)}), pixels=np.array([4.0, 2.0]),
+    place=np.array([[0.0, 4.0, 2.0], [1.0, 2.0, 1.6]]), low=np.array([[-0.6, 0.5, 0.4], [0.4, 0.9, 0.6]]),
     high=np.array([[0.6, 1.5, 0.6], [0.6, 1.1, 1.0]]),
-)
+)  # fmt: skip
 PAIRS = replace(
-    RegionPairs(**{field.name: np.zeros(1) for field in fields(RegionPairs)}),
-    touch=np.array([2.0]),
-    contact=np.array([[1.0, 1.8, 1.2]]),
-    contact_squares=np.array([[0.5, 1.64, 0.72]]),
-)
+    RegionPairs(**{field.name: np.zeros(1) for field in fields(RegionPairs)}), touch=np.array([2.0]),
+    contact=np.array([[1.0, 1.8, 1.2]]), contact_squares=np.array([[0.5, 1.64, 0.72]]),
+)  # fmt: skip
 
 
 def test_a_pair_is_measured_from_either_part():

@@ -42,16 +42,13 @@ def test_the_trees_of_the_package_are_whole_and_small(request):
     assert path.stat().st_size < 8e6
 
 
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        ({"left": np.array([0, 0, 3, 0, 0, 0], np.int32)}, "left child"),
-        ({"right": np.array([6, 0, 4, 0, 0, 0], np.int32)}, "right child"),
-        ({"feature": np.array([2, -1, 0, -1, -1, -1], np.int16)}, "asks for an input"),
-        ({"roots": np.array([0, 6], np.int32)}, "begins at a node"),
-        ({"value": np.zeros(5, np.float32)}, "5 of value for 6 nodes"),
-    ],
-)
+@pytest.mark.parametrize(("change", "complaint"), [
+    ({"left": np.array([0, 0, 3, 0, 0, 0], np.int32)}, "left child"),
+    ({"right": np.array([6, 0, 4, 0, 0, 0], np.int32)}, "right child"),
+    ({"feature": np.array([2, -1, 0, -1, -1, -1], np.int16)}, "asks for an input"),
+    ({"roots": np.array([0, 6], np.int32)}, "begins at a node"),
+    ({"value": np.zeros(5, np.float32)}, "5 of value for 6 nodes"),
+])  # fmt: skip
 def test_trees_that_lead_nowhere_are_refused(tmp_path, change, complaint):
     path = tmp_path / "trees.npz"
     dataclasses.replace(TREES, **change).save(path)

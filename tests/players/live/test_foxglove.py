@@ -33,16 +33,12 @@ def serving(handler, **options):
 def test_odd_definitions_of_a_channel_do_no_harm():
     cdr = {"encoding": "cdr", "schema": "float64 x", "schemaName": "acme_msgs/msg/Thing"}
     channels = [
-        {**cdr, "id": 1, "topic": "/thing"},
-        {**cdr, "id": 2, "topic": "/thing", "schemaName": "acme_msgs/msg/Other"},
+        {**cdr, "id": 1, "topic": "/thing"}, {**cdr, "id": 2, "topic": "/thing", "schemaName": "acme_msgs/msg/Other"},
         {
-            "id": 3,
-            "topic": "/image",
-            "encoding": "protobuf",
-            "schemaName": "foxglove.CompressedImage",
+            "id": 3, "topic": "/image", "encoding": "protobuf", "schemaName": "foxglove.CompressedImage",
             "schema": "CgA=",
         },
-    ]
+    ]  # fmt: skip
 
     def serve(connection):
         for message in (

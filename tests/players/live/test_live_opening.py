@@ -194,10 +194,8 @@ def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are():
     frames, early_ns = make_scene(), -9_000_000
     packets = [
         replace(p, stamp_ns=p.stamp_ns + early_ns, data=restamped(p.topic, p.data, early_ns))
-        if p.topic.name.endswith("compressedDepth")
-        else p
-        for p in scene_packets()
-    ]
+        if p.topic.name.endswith("compressedDepth") else p for p in scene_packets()
+    ]  # fmt: skip
     ordered = sorted(packets, key=lambda packet: packet.stamp_ns)
     second_ns, pose_ns = frames[1].stamp_ns, frames[1].stamp_ns + 20_000_000
     source = opened(ScriptedRoute(at_start=[packet for packet in ordered if packet.stamp_ns <= pose_ns]))

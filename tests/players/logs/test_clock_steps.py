@@ -116,18 +116,14 @@ def _jittered(spread):
 @pytest.mark.parametrize(
     "delay",
     [
-        _stalled,
-        _jittered(30 * MS),
-        _jittered(200 * MS),
-        _lasting,
-        lambda topic, stamp, log: (stamp, log + stamp // 20),
-        lambda topic, stamp, log: (stamp, log // 5),
+        _stalled, _jittered(30 * MS), _jittered(200 * MS), _lasting,
+        lambda topic, stamp, log: (stamp, log + stamp // 20), lambda topic, stamp, log: (stamp, log // 5),
         lambda topic, stamp, log: (stamp, log // 5 + log * (stamp >= MIDDLE)),
         lambda topic, stamp, log: (stamp, log + 150 * MS * (topic == "color" and stamp % S < 100 * MS)),
         lambda topic, stamp, log: (stamp - 10 * S * (topic == "tf" and stamp % S < 33 * MS), log),
     ],
     ids="stall jitter much-jitter lasting-delay drift fast-replay slower-replay late-images wrong-stamp".split(),
-)
+)  # fmt: skip
 def test_delays_and_single_stamps_are_no_steps(delay):
     clock, numbers = _numbered(_stream(delay))
     assert clock.texts == {}

@@ -69,11 +69,9 @@ def _one_robot():
     arm = [_link("base_link", "arm", AHEAD, m.stamp_ns, "/spot/arm/tf") for m in BY_TF if m.topic == "/tf"]
     unlinked = [m for m in _of_robots(BY_ODOMETRY, "/r1", "/r2", "/r1") if "tf_static" not in m.topic]
     return {
-        "two odometries": _with(_moved(BY_ODOMETRY, ("/odom", "/vio/odom")), *wheels),
-        "a part": _with(spot, *arm),
-        "the only tf": _moved(BY_TF, ("/tf", "/husky/tf")),
-        "no tf of their own": [BY_TF[0], *unlinked],
-    }
+        "two odometries": _with(_moved(BY_ODOMETRY, ("/odom", "/vio/odom")), *wheels), "a part": _with(spot, *arm),
+        "the only tf": _moved(BY_TF, ("/tf", "/husky/tf")), "no tf of their own": [BY_TF[0], *unlinked],
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["two odometries", "a part", "the only tf", "no tf of their own"])
@@ -127,10 +125,8 @@ def test_a_link_of_depth_published_again_is_used_from_then_on(tmp_path):
 
     log = [
         replace(m, message=replace(m.message, header=M.header(m.stamp_ns, "depth")))
-        if m.topic in ("/cam/aligned_depth/camera_info", scenes.PNG_DEPTH)
-        else m
-        for m in BY_TF
-    ]
+        if m.topic in ("/cam/aligned_depth/camera_info", scenes.PNG_DEPTH) else m for m in BY_TF
+    ]  # fmt: skip
     source = _source(tmp_path, _with(log, link(0.1, BY_TF[0].stamp_ns), link(0.0, TRUTH[20].stamp_ns)))
     frames = [frame.decode() for frame in source.frames()]
     same = [np.array_equal(f.depth_m, true.depth_m, equal_nan=True) for f, true in zip(frames, TRUTH, strict=True)]

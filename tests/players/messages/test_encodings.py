@@ -167,16 +167,13 @@ def test_an_image_that_claims_to_be_huge_is_refused_early():
 STAMP = "timestamp 1 Stamp,"
 FOXGLOVE = {
     "Stamp": "seconds 1 int64,nanos 2 int32",
-    "CompressedImage": STAMP + "frame_id 4 string,data 2 bytes,format 3 string",
-    "RawImage": STAMP
+    "CompressedImage": STAMP + "frame_id 4 string,data 2 bytes,format 3 string", "RawImage": STAMP
     + "frame_id 7 string,width 2 fixed32,height 3 fixed32,encoding 4 string,step 5 fixed32,data 6 bytes",
     "CameraCalibration": STAMP + "frame_id 9 string,width 2 fixed32,height 3 fixed32,distortion_model 4 string,"
-    "D 5 double[],K 6 double[],P 8 double[]",
-    "Vector3": "x 1 double,y 2 double,z 3 double",
-    "Quaternion": "x 1 double,y 2 double,z 3 double,w 4 double",
-    "Pose": "position 1 Vector3,orientation 2 Quaternion",
+    "D 5 double[],K 6 double[],P 8 double[]", "Vector3": "x 1 double,y 2 double,z 3 double",
+    "Quaternion": "x 1 double,y 2 double,z 3 double,w 4 double", "Pose": "position 1 Vector3,orientation 2 Quaternion",
     "PoseInFrame": STAMP + "frame_id 2 string,pose 3 Pose",
-}
+}  # fmt: skip
 
 
 def _descriptors():
