@@ -61,7 +61,8 @@ class _Crew:
         while self._waiting or self._running:
             while self._waiting and len(self._running) < self._processes:
                 self._begin(self._waiting.pop(0))
-            for connection in wait(list(self._running)):
+            # After a signal, those that waited end without a process: to wait for none would never end.
+            for connection in wait(list(self._running)) if self._running else ():
                 self._listen(connection)  # type: ignore[arg-type]
         return self._ended
 

@@ -31,17 +31,19 @@ def test_with_one_process_the_robots_are_mapped_in_their_order():
     assert order == [(name, kind) for name in "ba" for kind in (Opened, Ended)]
 
 
-def test_a_signal_stops_all_robots_in_order_and_begins_no_more():
+# By one process, all that still wait end at once when the only robot has ended.
+@pytest.mark.parametrize("begun", [["endless-1"], ["endless-1", "endless-2"]])
+def test_a_signal_stops_all_robots_in_order_and_begins_no_more(begun):
     opened = []
 
     def hear(name, message):
         if isinstance(message, Opened):
             opened.append(name)
-            if len(opened) == 2:
+            if len(opened) == len(begun):
                 os.kill(os.getpid(), signal.SIGINT)
 
-    ended = run_crew([task("endless-1"), task("endless-2"), task("waiting")], 2, hear, crew_robots.main)
-    assert sorted(opened) == ["endless-1", "endless-2"]
+    ended = run_crew([*map(task, begun), task("waiting")], len(begun), hear, crew_robots.main)
+    assert sorted(opened) == begun
     assert all(one.was_stopped and not one.is_finished for one in ended.values())
     assert ended["endless-1"].digest == "endless-1"
     assert ended["waiting"].reason == "stopped before it began"
