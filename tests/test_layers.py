@@ -58,17 +58,27 @@ def place_of(module):
 
 
 @cache
-def imports_of(file):
-    found = []
+def facts_of(file):
+    """Return what a module imports, its functions that lack type hints and are no kernels, and whether it prints."""
+    imports, bare, prints = [], [], False
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found += (alias.name for alias in node.names)
+            imports += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{file}: imports are written in full"
             assert node.module is not None
             submodules = (f"{node.module}.{alias.name}" for alias in node.names)
-            found += (name if is_module(name) else node.module for name in submodules)
-    return tuple(found)
+            imports += (name if is_module(name) else node.module for name in submodules)
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            decorators = {ast.unparse(decorator).partition("(")[0] for decorator in node.decorator_list}
+            bare += [node.name] * (not decorators & {"kernel", "overload"} and node.returns is None)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            prints |= node.func.id == "print"
+    return tuple(imports), bare, prints
+
+
+def imports_of(file):
+    return facts_of(file)[0]
 
 
 @cache
@@ -89,13 +99,15 @@ def test_the_main_readme_shows_the_layers():
     assert blocks_of("mermaid", ROOT / "README.md") == picture_of_layers()
 
 
-@pytest.mark.parametrize("file", FILES, ids=module_of)
-def test_imports_point_down_only(file):
-    rank, part = place_of(module_of(file))
-    for name in imports_of(file):
-        if name.split(".")[0] in OURS and name != "hickory_stream":
-            its_rank, its_part = place_of(name)
-            assert its_part == part or its_rank < rank, f"{module_of(file)} must not import {name}"
+def test_imports_point_down_only():
+    up = []
+    for file in FILES:
+        rank, part = place_of(module_of(file))
+        for name in imports_of(file):
+            if name.split(".")[0] in OURS and name != "hickory_stream":
+                its_rank, its_part = place_of(name)
+                up += [f"{module_of(file)} must not import {name}"] * (its_part != part and its_rank >= rank)
+    assert up == []
 
 
 def test_no_module_imports_itself_through_others():
@@ -119,12 +131,9 @@ def test_importing_the_package_for_its_version_loads_nothing():
 
 
 def test_nothing_prints_but_the_command_line():
-    printers = {
-        module_of(file) for file in FILES if "print(" in (text := file.read_text(encoding="utf-8"))
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
-    }  # fmt: skip
+    printers = {module_of(file) for file in FILES if facts_of(file)[2]}
     assert {name for name in printers if not f"{name}.".startswith("hickory_stream.cli.")} == set()
+    assert printers
 
 
 def users_of(package):
@@ -138,12 +147,5 @@ def test_asyncio_is_for_the_engine_and_twins_and_tools_for_none():
     assert users_of("hickory_stream.testing") == users_of("tools") == []
 
 
-@pytest.mark.parametrize("file", FILES, ids=module_of)
-def test_all_functions_but_kernels_have_type_hints(file):
-    bare = []
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            decorators = {ast.unparse(decorator).partition("(")[0] for decorator in node.decorator_list}
-            if not decorators & {"kernel", "overload"} and node.returns is None:
-                bare.append(node.name)
-    assert bare == []
+def test_all_functions_but_kernels_have_type_hints():
+    assert {module_of(file): bare for file in FILES if (bare := facts_of(file)[1])} == {}

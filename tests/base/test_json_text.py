@@ -29,7 +29,8 @@ FILES = sorted(
 
 def writers_in(source):
     found = []
-    for node in ast.walk(ast.parse(source)):
+    # Most files need not be parsed.
+    for node in ast.walk(ast.parse(source if re.search("dump|JSONEncoder", source) else "")):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "json":
             found.append(node.attr)
         if isinstance(node, ast.ImportFrom) and node.module == "json":
