@@ -142,12 +142,16 @@ def coarse_config(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def short_map(short_log, coarse_config, tmp_path_factory):
-    """The map of the first three seconds of the demo, as the command line makes it; not to be changed."""
+    """The map of the first three seconds of the demo, as the command line makes it; not to be changed.
+
+    What `play` printed lies beside it.
+    """
     from tests.cli.test_cli import EAGER, look
 
     def make(out):
         ended = look("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", out, *EAGER)
         assert ended.status == 0, ended.stderr
+        out.with_suffix(".said").write_text(ended.stdout)
 
     return made_once(tmp_path_factory, "short.map", make)
 

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from types import SimpleNamespace
 import cv2
 import numpy as np
@@ -86,16 +85,20 @@ def refusal(*arguments, status=2):
     return ended.stderr
 
 
+EAGER = ("--set", "mapper.mapping.requests.first_sightings=2")
+# In a log of three seconds, most is seen for less than the default.
+SHORT = "mapper.mapping.lifecycle.confirm_s=0.5"
+
+
 @pytest.fixture(scope="module")
-def made(short_log, coarse_config, tmp_path_factory):
+def made(short_log, short_map, coarse_config, tmp_path_factory):
     """Two maps of the short log: by one worker with a Rerun recording, and by two workers without."""
     folder = tmp_path_factory.mktemp("maps")
-    play = ("play", short_log, "--config", coarse_config, "--viewer", "none")
-    textured = ("--set", "rerun.texture_px=64")
     rrd = folder / "run.rrd"
-    one = ended_as(0, *play, "--out", folder / "one", "--workers", 1, "--rrd", rrd, "--json", *textured)
-    two = said(*play, "--out", folder / "two", "--workers", 2)
-    return SimpleNamespace(by_one=folder / "one", by_two=folder / "two", rrd=rrd, ended=one, text=two)
+    options = ("--viewer", "none", *EAGER, "--workers", 1, "--rrd", rrd, "--json", "--set", "rerun.texture_px=64")
+    one = ended_as(0, "play", short_log, "--config", coarse_config, "--out", folder / "one", *options)
+    text = short_map.with_suffix(".said").read_text()
+    return SimpleNamespace(by_one=folder / "one", by_two=short_map, rrd=rrd, ended=one, text=text)
 
 
 def test_one_and_two_workers_and_a_recording_make_the_same_map(made, short_log):
@@ -129,8 +132,9 @@ def test_play_ends_with_three_commands_that_work(made):
     replay, _, viewer = timeline.partition(" && ")
     for line in (inspect, picture, replay):
         said(*shlex.split(line)[1:])
-    assert viewer == f"rerun --bind 127.0.0.1 {made.by_two}.rrd"
-    assert Path(f"{made.by_two}.rrd").is_file()
+    recording = made.by_two.with_suffix(".rrd")
+    assert viewer == f"rerun --bind 127.0.0.1 {recording}"
+    assert recording.is_file()
 
 
 def test_progress_is_a_json_object_per_line_on_standard_error(made):
@@ -198,7 +202,7 @@ class Playing:
 
 
 def test_a_batch_maps_as_play_does_and_keeps_what_it_mapped(made, short_log, coarse_config, tmp_path):
-    asked = ("batch", short_log, "-o", tmp_path / "out", "--config", coarse_config, "--workers", 1, "--merge")
+    asked = ("batch", short_log, "-o", tmp_path / "out", "--config", coarse_config, "--workers", 1, "--merge", *EAGER)
     told = answer(*asked)
     assert [log["state"] for log in told["logs"]] == ["mapped"]
     assert told["logs"][0]["digest"] == made.ended.json()["digest"]
@@ -236,11 +240,6 @@ def test_a_log_without_any_depth_ends_with_status_3(blank_log, tmp_path):
     for image in (dark / "depth").iterdir():
         cv2.imwrite(str(image), np.zeros((CAMERA.height, CAMERA.width), np.uint16))
     assert "no depth" in ended_as(3, "play", dark, "--out", tmp_path / "map", "--viewer", "none").stderr
-
-
-EAGER = ("--set", "mapper.mapping.requests.first_sightings=2")
-# In a log of three seconds, most is seen for less than the default.
-SHORT = "mapper.mapping.lifecycle.confirm_s=0.5"
 
 
 def test_a_signal_ends_with_status_130_and_a_map_that_opens(short_log, coarse_config, tmp_path):

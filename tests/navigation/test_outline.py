@@ -57,9 +57,11 @@ def test_a_body_whose_cell_is_free_touches_nothing(seed, part):
 @settings(max_examples=3)
 @given(st.integers(0, 10_000))
 def test_a_cell_is_occupied_within_tolerance_of_its_cylinder(seed):
-    primitives = random_primitives(np.random.default_rng(seed), 8)
+    rng = np.random.default_rng(seed)
+    primitives = random_primitives(rng, 8)
     part = Part(low_m=1.5, high_m=2.2, disc_m=0.1)
     occupied = np.argwhere(cells_of(*outlines_of_rows(rows_of(primitives), part)))
+    occupied = rng.choice(occupied, min(len(occupied), 800), replace=False)
     scene = ClearanceScene()
     scene.put(0, primitives)
     centers = np.array([-0.6, -0.6]) + (occupied[:, ::-1] + 0.5) * CELL_M

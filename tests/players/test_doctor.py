@@ -27,6 +27,9 @@ FRAMES = scenes.make_scene(num_frames=12)
 LOG = scenes.scene_messages(M, FRAMES, scenes.raw_images)
 BAGS = Path(__file__).resolve().parents[3] / "shared/data/bags"
 
+# For what is judged by poses and times.
+SMALL = SCENE_CAMERA.scaled(0.25)
+
 
 def _log(tmp_path):
     return scenes.write_mcap(tmp_path / "desk.mcap", M, LOG, chunk_size=40_000)
@@ -72,16 +75,16 @@ class _Walk:
     def __init__(self, steps):
         self._steps = steps
         self.info = SourceInfo(
-            uri="memory:walk", kind="walk", identity="walk", camera=SCENE_CAMERA, num_frames=len(steps),
+            uri="memory:walk", kind="walk", identity="walk", camera=SMALL, num_frames=len(steps),
             start_ns=START_NS, end_ns=START_NS + int(1e9 * steps[-1][0]), streams=(),
         )  # fmt: skip
 
     def frames(self):
-        frame = next(iter(SceneSource(1).frames())).decode()
+        frame = next(iter(SceneSource(1, camera=SMALL).frames())).decode()
         for i, (seconds, metres, degrees) in enumerate(self._steps):
             pose = from_rotation_translation(yaw_rotation(np.deg2rad(degrees)), np.array([metres, 0.0, 0.0]))
             stamp_ns = START_NS + round(1e9 * seconds)
-            known = {"index": i, "stamp_ns": stamp_ns, "camera": SCENE_CAMERA, "world_from_camera": pose}
+            known = {"index": i, "stamp_ns": stamp_ns, "camera": SMALL, "world_from_camera": pose}
             yield RawFrame(**known, decode=lambda: frame)
 
     def ledger(self):
