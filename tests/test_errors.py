@@ -3,7 +3,7 @@ from functools import cache
 from pathlib import Path
 import pytest
 from hickory_stream import errors
-from hickory_stream.errors import EmptyMapError, HickoryError, InputError, WorkerError
+from hickory_stream.errors import EmptyMapError, HickoryError, InputError
 
 ROOT = Path(__file__).resolve().parent.parent
 ALL = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, HickoryError)]
@@ -13,10 +13,6 @@ ALL = [kind for kind in vars(errors).values() if isinstance(kind, type) and issu
 def test_an_outside_error_exits_with_2_and_our_failure_with_1(kind):
     expected = 3 if kind is EmptyMapError else 2 if issubclass(kind, InputError) else 1
     assert kind.exit_status == expected
-
-
-def test_there_are_failures_of_both_kinds():
-    assert {InputError, WorkerError} <= set(ALL)
 
 
 def test_the_tree_in_the_docstring_is_the_tree():

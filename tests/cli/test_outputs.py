@@ -7,7 +7,6 @@ import pytest
 from hickory_stream.base.json_schema import schema_of
 from hickory_stream.config import RunConfig
 from hickory_stream.outputs import OUTPUTS, VERSION, output, output_schema
-from hickory_stream.progress import ProgressPrinter
 from tests.cli.test_cli import look, refusal, said
 from tests.output_forms import checked
 
@@ -82,13 +81,6 @@ COMMANDS = (
 def test_what_commands_print_keeps_to_its_form(command, coarse_config, short_log):
     words = command.replace("FILE", str(coarse_config)).replace("LOG", str(short_log)).split()
     look(*words, "--json").json()
-
-
-def test_progress_keeps_to_its_form(capsys):
-    from hickory_stream.engine.modes import Progress
-
-    ProgressPrinter("json")(Progress(phase="mapping", frames=3, total=None, keyframes=2, objects=1, open_shapes=0))
-    assert checked(json.loads(capsys.readouterr().err))["frames"] == 3
 
 
 def test_the_schema_is_printed_for_one_for_all_or_names_alone():

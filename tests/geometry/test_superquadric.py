@@ -217,11 +217,6 @@ def test_the_share_of_points_beyond_a_plane_is_that_of_the_area(primitive, direc
     assert float((points @ along > limit).mean()) == pytest.approx(share, abs=0.05)
 
 
-def test_the_same_primitive_gives_the_same_points():
-    body = quadric((0.3, 1.0), (0.3, 0.2, 0.1))
-    assert np.array_equal(surface_points(body, 0, 77), surface_points(body, 0, 77))
-
-
 def random_rotation(rng):
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return q * np.sign(np.linalg.det(q))

@@ -44,12 +44,6 @@ def test_s_is_the_papers_formula(variance, r_area, r_depth, expected):
     assert s_score(variance, r_area, r_depth, config) == pytest.approx(expected, abs=1e-6)
 
 
-def test_variance_and_exponents_are_those_of_the_paper():
-    # ln(1 + 768 * 0.25) = ln 193
-    assert s_score(0.25, 1.0, 1.0, CONFIG) == pytest.approx(5.262690, abs=1e-6)
-    assert (CONFIG.strategy, CONFIG.alpha, CONFIG.beta) == ("s_score", 0.3, 0.5)
-
-
 def test_a_view_cut_by_the_border_is_worth_less():
     whole = replace(view(1), is_cut=False)
     cut = replace(whole, is_cut=True)

@@ -31,16 +31,6 @@ def test_a_flood_of_images_drops_the_oldest_images_and_no_pose():
     assert inbox.arrivals[IMAGE_TOPIC.name].num_received == 50
 
 
-def test_messages_come_out_in_the_order_in_which_they_came():
-    inbox = Inbox()
-    for packet in scene_packets():
-        inbox.announce(packet.topic)
-        inbox.put(packet.topic.name, packet.data)
-    inbox.close()
-    assert [inbox.take(0).data for _ in scene_packets()] == [packet.data for packet in scene_packets()]
-    assert inbox.is_over
-
-
 def test_a_route_that_can_wait_loses_nothing():
     inbox = Inbox(large_bytes=300)
     inbox.announce(IMAGE_TOPIC)

@@ -30,12 +30,6 @@ def test_a_log_is_read_without_holding_it_in_memory(tmp_path, settings):
     assert peak < 3_000_000
 
 
-def test_topics_are_told_with_counts_and_others_left_out(tmp_path):
-    (topic,) = _large(tmp_path).topics
-    assert (topic.name, topic.type_name, topic.num_messages) == ("/image", "sensor_msgs/msg/CompressedImage", 40)
-    assert list(_large(tmp_path).messages({"/other"})) == []
-
-
 def test_several_channels_of_one_topic_are_one_topic(tmp_path):
     path = tmp_path / "log.mcap"
     with scenes.mcap_writer(path) as writer:
