@@ -186,7 +186,9 @@ def test_a_run_reports_the_generators_shapes(tmp_path, toml):
     assert "accepted: explains" in summary.verdict
 
 
-def test_made_up_surface_is_withdrawn_when_free_space_is_seen(tmp_path, toml, capsys):
+def test_made_up_surface_is_withdrawn_when_free_space_is_seen(tmp_path, toml, capsys, monkeypatch):
+    # As in the worker of the test before.
+    monkeypatch.setenv("HICKORY_GENERATOR", str(toml))
     toml.write_text(toml.read_text().replace('"box_generator.py"]', '"box_generator.py", "deep"]'))
     chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.accept_licence=I do research")
     # All else that would ask again is switched off.
@@ -195,9 +197,7 @@ def test_made_up_surface_is_withdrawn_when_free_space_is_seen(tmp_path, toml, ca
         "shapes.judgement.max_less=0.3",
     )  # fmt: skip
     walk = SceneSource(14, SCENE_BOXES[-1:], step_of=lambda i: i // 2 if i < 6 else 3 * i - 15)
-    run = map_scene(
-        tmp_path, *chosen, *rare, source=walk, segmenter=InstanceSegmenter(walk.instances), child_workers=True
-    )
+    run = map_scene(tmp_path, *chosen, *rare, source=walk, segmenter=InstanceSegmenter(walk.instances))
     steps = recorded_steps(tmp_path / "map", run.snapshots[-1])
     told = [decision.text for step in steps for decision in step.decisions if decision.kind == "shape"]
     shapes = [snapshot.objects[0].shape for snapshot in run.snapshots if snapshot.objects]
