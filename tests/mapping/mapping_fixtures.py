@@ -18,6 +18,7 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.voxels import sorted_unique
 from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.entities.observed_space import empty_space
 from hickory_stream.mapping.entities.track import Track
@@ -84,9 +85,9 @@ def camera_at(angle_rad, distance_m=3.0):
 def space(free=None, structure=None, floor_z_m=None, surface=None):
     none = np.zeros(0, dtype=np.int64)
     return SpaceObservation(
-        free_keys=none if free is None else np.unique(free),
-        structure_keys=none if structure is None else np.unique(structure),
-        surface_keys=none if surface is None else np.unique(surface),
+        free_keys=none if free is None else sorted_unique(free),
+        structure_keys=none if structure is None else sorted_unique(structure),
+        surface_keys=none if surface is None else sorted_unique(surface),
         floor_z_m=floor_z_m,
     )
 

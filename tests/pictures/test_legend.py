@@ -8,6 +8,7 @@ from hickory_stream.changes.page import COLORS, Footprint, plan_svg
 from hickory_stream.changes.records import Verdict
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.mesh import mesh_of_glb, sha256_of, write_glb
+from hickory_stream.geometry.voxels import sorted_unique
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.navigation.free_space import free_space_of
@@ -27,7 +28,8 @@ from tests.navigation.rooms import snapshot, table, tracked
 
 
 def colors_in(image):
-    return set(map(tuple, image.reshape(-1, 3).tolist()))
+    packed = sorted_unique(image.reshape(-1, 3).astype(np.int64) @ (1 << 16, 1 << 8, 1))
+    return {tuple(one.to_bytes(3, "big")) for one in packed.tolist()}
 
 
 def dark(object_id):

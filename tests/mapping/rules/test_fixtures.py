@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.geometry.voxels import difference, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import add, empty_space
 from hickory_stream.mapping.rules.fixtures import judged
 from hickory_stream.records import ObjectKind
@@ -17,17 +17,18 @@ def grid(x, y, z):
 FLOOR = grid((0.0, 3.0), (-2.0, 2.0), (-0.05, 0.0))
 CEILING = grid((0.0, 3.0), (-2.0, 2.0), (2.5, 2.55))
 WALL = grid((-0.1, 0.0), (-2.0, 2.0), (0.0, 2.5))
+AIR = grid((0.0, 3.0), (-2.0, 2.0), (0.0, 2.5))
 
 
 def room(*things, structure=(FLOOR, CEILING, WALL), floor_m=0.0):
     """A room 3 m deep with a wall at x = 0, free where nothing is, after ten keyframes."""
-    solid = np.unique(keys_of_points(np.concatenate([*structure, *things]), VOXEL_M))
-    walls = np.unique(keys_of_points(np.concatenate(structure), VOXEL_M)) if structure else np.empty(0, np.int64)
-    walls = np.setdiff1d(walls, keys_of_points(np.concatenate([np.empty((0, 3)), *things]), VOXEL_M))
-    free = np.setdiff1d(keys_of_points(grid((0.0, 3.0), (-2.0, 2.0), (0.0, 2.5)), VOXEL_M), solid)
+    none = np.empty((0, 3), np.float32)
+    places = ((none, *structure, *things), (none, *structure), (none, *things), (AIR,))
+    solid, walls, taken, air = (sorted_unique(keys_of_points(np.concatenate(part), VOXEL_M)) for part in places)
+    walls, free = difference(walls, taken), difference(air, solid)
     state = empty_space(VOXEL_M)
     for _ in range(10):
-        state = add(state, space(free, walls, floor_m, np.setdiff1d(solid, walls)))
+        state = add(state, space(free, walls, floor_m, difference(solid, walls)))
     return state
 
 
