@@ -90,9 +90,15 @@ def test_graphs_with_open_batches_share_runs_on_accelerators(tmp_path, images, p
     model = GraphSemantics(network, ("r", "g", "b"), short_px=32, panoptic=PanopticConfig(), warm_up=False)
     pictures = np.random.default_rng(3).integers(0, 255, (6, 32, 64, 3), np.uint8)
     alone = [model.classify(picture).classes for picture in pictures]
-    network.provider, before = provider, network.num_runs
+    network.provider = provider
     assert model.share_runs() == shared
-    with ThreadPoolExecutor(len(pictures)) as threads:
-        together = [*threads.map(lambda picture: model.classify(picture).classes, pictures)]
-    np.testing.assert_array_equal(together, alone)
-    assert (network.num_runs - before == len(pictures)) == (shared == 1)
+
+    def num_runs():
+        before = network.num_runs
+        with ThreadPoolExecutor(len(pictures)) as threads:
+            together = [*threads.map(lambda picture: model.classify(picture).classes, pictures)]
+        np.testing.assert_array_equal(together, alone)
+        return network.num_runs - before
+
+    # On a busy machine threads may come one after the other.
+    assert any(num_runs() < len(pictures) for _ in range(20)) == (shared > 1)
