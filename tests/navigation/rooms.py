@@ -1,6 +1,7 @@
 """A room of 6 x 4 m to plan in: a wall across with a door of 1 m, and a table; all of it seen, or not."""
 
 from dataclasses import replace
+from functools import cache
 import numpy as np
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import keys_of_cells
@@ -35,6 +36,7 @@ def tracked(object_id, inflated, *, with_shape=True):
     return make_object(object_id, mesh, pose, shape=shape if with_shape else None)
 
 
+@cache
 def seen_room(*, door_m=(1.5, 2.5), dark_m=None):
     """The room's voxels; `dark_m` are the ends, along x, of what nobody saw."""
     cells = np.stack(np.meshgrid(np.arange(-1, 121), np.arange(-1, 81), np.arange(-1, 40), indexing="ij"), axis=-1)

@@ -1,6 +1,7 @@
 """Scenes by construction: a camera above a floor, with boxes, cylinders and walls rendered by exact ray casting."""
 
 from dataclasses import dataclass
+from functools import reduce
 import numpy as np
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -20,7 +21,9 @@ class Block:
     def depths(self, origin, rays):
         with np.errstate(divide="ignore", invalid="ignore"):
             a, b = (np.array(self.low) - origin) / rays, (np.array(self.high) - origin) / rays
-        enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+        # Faster than along the last axis.
+        enter = reduce(np.maximum, np.moveaxis(np.minimum(a, b), -1, 0))
+        leave = reduce(np.minimum, np.moveaxis(np.maximum(a, b), -1, 0))
         return np.where((enter < leave) & (enter > 0), enter, np.inf)
 
 

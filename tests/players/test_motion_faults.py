@@ -36,7 +36,7 @@ def demo():
         return [(s.name, NAMES.get(c.topic, c.topic), m.log_time, m.data) for s, c, m in messages]
 
 
-def cut(path, change=lambda rows: None, seconds=6.0, start=0.0):
+def cut(path, change=lambda rows: None, seconds=4.0, start=0.0):
     """Write some seconds of the recording, with the messages as a change leaves them."""
     first = demo()[0][2] + start * 1e9
     chosen = [r for r in demo() if first <= r[2] <= first + seconds * 1e9 or r[1] == "/tf_static"]

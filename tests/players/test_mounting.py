@@ -70,7 +70,8 @@ def test_a_mended_profile_has_the_estimated_place_on_its_base(recorded, estimate
     assert (found.topics, found.rig.color) == (base.topics, base.rig.color)
 
 
-def test_a_log_is_mapped_through_the_estimate(recorded):
+def test_a_log_is_mapped_through_the_estimate(recorded, estimate, monkeypatch):
+    monkeypatch.setattr("players.poses.extrinsics.estimated_extrinsics", lambda *_: estimate)
     out = recorded / "b2.map"
     played = look("play", recorded / "b2", "--extrinsics", "estimate", "--end", "8", "--out", out, *LAYER_ONE)
     assert played.status in (0, 3)
