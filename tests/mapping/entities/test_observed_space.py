@@ -129,6 +129,15 @@ def block(width, length, height, below=0):
     return np.sort(keys_of_cells(np.stack(steps, axis=-1).reshape(-1, 3)))
 
 
+def test_columns_begin_where_x_or_y_changes_and_nothing_has_none():
+    cells = np.array([(0, 0, 1), (0, 0, 2), (0, 1, 0), (2, 1, 5), (2, 1, 6), (2, 1, 7)])
+    starts = observed_space.column_starts(cells)
+    assert starts.tolist() == [0, 2, 3]
+    assert observed_space.column_sizes(starts, len(cells)).tolist() == [2, 1, 3]
+    starts = observed_space.column_starts(np.empty((0, 3), dtype=np.int64))
+    assert starts.tolist() == observed_space.column_sizes(starts, 0).tolist() == []
+
+
 @pytest.mark.parametrize("voxel_m", [0.02, 0.05, 0.1])
 def test_a_column_with_structure_along_half_its_height_is_a_wall(voxel_m):
     enough = round(observed_space.WALL_M / 2 / voxel_m)

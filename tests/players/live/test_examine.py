@@ -41,6 +41,8 @@ def test_the_command_examines_an_address(short_log, capsys):
     assert heard["frames"]["keyframes"] == logged["frames"]["keyframes"]
     assert heard["problems"] == logged["problems"]
     assert heard["notes"] == ["the stream has ended"]
+    assert main(["doctor", f"mcap:{short_log}"]) == status
+    assert "/zed/zed_node/odom" in capsys.readouterr().out
     assert main(["doctor", "gopher://robot"]) == 2
     assert "expected one of zenoh://HOST" in capsys.readouterr().out
     assert main(["doctor", f"mcap:{short_log}", "--seconds", "0"]) == 2
