@@ -103,9 +103,9 @@ def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path, monkeypatch):
     happened = []
     show = ReportPublisher.show
 
-    async def shown(announcer, report):
+    async def shown(announcer, report, **options):
         happened.append(f"shown {report.keyframe_index}")
-        await show(announcer, report)
+        await show(announcer, report, **options)
 
     async def asked(queue, request):
         del queue
