@@ -25,7 +25,8 @@ from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
 from hickory_stream.ports import FeatureExtractor, Segmenter, Source, shared_by
 from hickory_stream.poses.surface_image import SurfaceImage
-from hickory_stream.records import Frame, RawFrame
+from hickory_stream.poses.visual_motion import keypoints_of
+from hickory_stream.records import Frame, Keypoints, RawFrame
 
 logger = logging.getLogger(__name__)
 
@@ -42,12 +43,13 @@ _LIVE_FRAMES = 32
 class Prefetched:
     """Parts of a keyframe that need no map, computed while earlier keyframes are mapped; None if not computed.
 
-    `patches` (h, w, D) are features. `prepared` (of the segmenter) and `free_keys` are valid for the pose as read only.
+    `patches` (h, w, D) are features. `prepared` (of the segmenter), `keypoints` and `free_keys` fit the pose as read.
     """
 
     prepared: object = None
     patches: NDArray[np.float32] | None = None
     surface: SurfaceImage | None = None
+    keypoints: Keypoints | None = None
     free_keys: NDArray[np.int64] | None = None
 
 
@@ -166,17 +168,19 @@ class Reader:
         """Return what a keyframe needs that does not depend on the map, or why a network failed."""
         config = self._config
         surface_of = keyframe_surface if config.registration.enabled else lambda _: None
+        points_of = keypoints_of if config.mapping.submaps.searches_loops else lambda _: None
         try:
             # Those of one thread run in this order.
-            surface, prepared, patches, free_keys = await asyncio.gather(
+            surface, prepared, patches, keypoints, free_keys = await asyncio.gather(
                 on_thread(self._ahead_thread, surface_of, frame),
                 on_thread(self._masks_thread, self._segmenter.prepare, frame),
                 on_thread(self._features_thread, self._extractor.extract, np.asarray(frame.rgb)),
+                on_thread(self._features_thread, points_of, frame),
                 on_thread(self._ahead_thread, free_space, frame, config.perception.space, config.mapping.voxels),
             )
         except ModelError as error:
             return error
-        return Prefetched(prepared=prepared, patches=patches, surface=surface, free_keys=free_keys)
+        return Prefetched(prepared=prepared, patches=patches, surface=surface, keypoints=keypoints, free_keys=free_keys)
 
     async def end(self) -> None:
         """Accept no more frames."""

@@ -63,7 +63,6 @@ from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import FeatureExtractor, Segmenter, Source, interrupt, num_seeks, prepared_at
-from hickory_stream.poses.visual_motion import keypoints_of
 from hickory_stream.records import Decision, Frame, MapSnapshot
 
 logger = logging.getLogger(__name__)
@@ -285,8 +284,10 @@ class Run:
         if placed is None:
             return FrameOutcome.KEPT_OUT
         if placed is not frame:
-            prepared = prepared_at(self._parts.segmenter, ahead.prepared, placed.world_from_camera)
-            ahead = replace(ahead, prepared=prepared, free_keys=None)
+            pose, points = placed.world_from_camera, ahead.keypoints
+            prepared = prepared_at(self._parts.segmenter, ahead.prepared, pose)
+            points = None if points is None else replace(points, world_from_camera=pose)
+            ahead = replace(ahead, prepared=prepared, keypoints=points, free_keys=None)
         await self._keyframe(read, placed, ahead)
         return FrameOutcome.MAPPED
 
@@ -301,9 +302,7 @@ class Run:
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
         current = CurrentKeyframe(frame=frame, observations=perceived.observations, patches=ahead.patches)
-        event = perceived.event(frame)
-        if self._parts.config.mapping.submaps.searches_loops:
-            event = replace(event, keypoints=await on_thread(self._mapping_thread, keypoints_of, frame))
+        event = replace(perceived.event(frame), keypoints=ahead.keypoints)
         decided = await self._effects.decide(event, current)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
