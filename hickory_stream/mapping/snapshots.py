@@ -22,8 +22,9 @@ _NO_KEYS = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    # The record of a track at the pose of its submap (4, 4).
+    # The records of a track: in the frame of its submap, and at that submap's pose (4, 4).
     track: Track
+    own: TrackedObject
     place: NDArray[np.float64]
     item: TrackedObject
 
@@ -75,14 +76,9 @@ class Snapshots:
     def _known_objects(self, state: MapState) -> tuple[TrackedObject, ...]:
         # As far around the last view as the space reaches at least.
         near = state.tracks.ordered() if state.sight is None else state.tracks.touching(state.sight, LEAST_BESIDE_M)
-        known = []
-        for track in near:
-            # Not fixtures, which may be pieces of a wall: the map must not confirm itself.
-            if state.is_judged(track) and track.kind is not ObjectKind.FIXTURE:
-                shown = self._objects.get(track.id)
-                is_there = shown is not None and shown.track is track and np.array_equal(shown.place, np.eye(4))
-                known.append(shown.item if shown is not None and is_there else as_object(track, self._points_m))
-        return tuple(known)
+        # Not fixtures, which may be pieces of a wall: the map must not confirm itself.
+        known = (track for track in near if state.is_judged(track) and track.kind is not ObjectKind.FIXTURE)
+        return tuple(self._own(track) for track in known)
 
     def _follow(self, state: MapState) -> None:
         tables, marks = (state.tracks, state.elsewhere), self._marks
@@ -116,14 +112,16 @@ class Snapshots:
         if track is not None and track.best_view is not None and track.best_view.score is not None:
             self._scores[track_id] = track.best_view.score
 
+    def _own(self, track: Track) -> TrackedObject:
+        shown = self._objects.get(track.id)
+        return shown.own if shown is not None and shown.track is track else as_object(track, self._points_m)
+
     def _shown(self, track: Track, place: NDArray[np.float64]) -> _Shown:
         shown = self._objects.get(track.id)
-        is_same = shown is not None and shown.track is track and shown.place is place
-        return (
-            shown
-            if shown is not None and is_same
-            else _Shown(track, place, _in_world(as_object(track, self._points_m), place))
-        )
+        if shown is not None and shown.track is track and shown.place is place:
+            return shown
+        own = self._own(track)
+        return _Shown(track, own, place, _in_world(own, place))
 
     def _submap(self, state: SubmapState) -> Submap:
         shown = self._submaps.get(state.id)
