@@ -161,6 +161,18 @@ class _Followed:
         self._mark = table.now
 
 
+@dataclass(slots=True, eq=False)
+class PlacedTrack:
+    """A track elsewhere in the frame of the open submap: its centre (3,) and radius, and itself while it is in view."""
+
+    track: Track
+    #: the poses (4, 4) of its submap and of the open one
+    places: tuple[NDArray[np.float64], NDArray[np.float64]]
+    center: NDArray[np.float64]
+    radius_m: float
+    moved: Track | None = None
+
+
 @dataclass(kw_only=True, slots=True, eq=False)
 class Derived:
     """Everything that is derived from a state."""
@@ -168,3 +180,5 @@ class Derived:
     views: ViewUse = field(default_factory=ViewUse)
     wishes: ShapeWishes = field(default_factory=ShapeWishes)
     warm: RecentTracks = field(default_factory=RecentTracks)
+    #: by id, of the last keyframe
+    placed: dict[int, PlacedTrack] = field(default_factory=dict)

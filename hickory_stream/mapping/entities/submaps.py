@@ -19,7 +19,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.lazy_arrays import Keep, compress, give_up, in_memory, read_briefly
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, turned_directions
-from hickory_stream.geometry.voxels import contains, difference, places, union
+from hickory_stream.geometry.voxels import difference, places, union
 from hickory_stream.mapping.entities import observed_space
 from hickory_stream.mapping.entities.observed_space import (
     SURE_HITS,
@@ -518,9 +518,9 @@ def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
     sight = window_of(keys)
     if submaps.window is not None and sight is not None and not submaps.window.holds(sight):
         submaps = _within(submaps, sight)
-    is_owned = contains(submaps.owned, keys)
-    owners[is_owned] = submaps.owners[places(submaps.owned, keys[is_owned])]
-    return owners
+    at = places(submaps.owned, keys)
+    at[at == len(submaps.owned)] = -1
+    return owners if len(submaps.owned) == 0 else np.where(submaps.owned[at] == keys, submaps.owners[at], owners)
 
 
 def _by_owner(submaps: Submaps, keys: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:

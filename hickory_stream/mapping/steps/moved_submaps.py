@@ -19,6 +19,7 @@ from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import moved
 from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.derived import PlacedTrack
 from hickory_stream.mapping.entities.cloud import fuse, grown_since, moved_cloud, share_near
 from hickory_stream.mapping.entities.rigid_motion import moved_box, moved_shape, moved_view
 from hickory_stream.mapping.entities.submaps import Submaps, placed_at
@@ -323,17 +324,32 @@ def end_elsewhere(state: MapState, config: MappingConfig, *, merges: bool) -> li
 
 def _near(state: MapState, bounds: list[NDArray[np.float32]], config: MappingConfig) -> Iterator[Track]:
     low, high = np.array(bounds)[:, 0], np.array(bounds)[:, 1]
-    for track_id in sorted(state.elsewhere):
-        track = state.elsewhere[track_id]
-        center = apply(state.submaps.open_from(track.submap_id), track.box.center[None])[0]
-        reach = portable.norm(track.box.half_extents_m)
-        if ((low - reach <= center) & (center <= high + reach)).all(axis=1).any():
-            yield _in_open_frame(state, track, config)
+    placed = state.derived.placed = {track.id: _placed(state, track) for track in state.elsewhere.ordered()}
+    centers = np.array([own.center for own in placed.values()])[:, None]
+    reach = np.array([own.radius_m for own in placed.values()], low.dtype)[:, None, None]
+    is_apart = (low - reach > centers) | (centers > high + reach)
+    for own, apart in zip(placed.values(), np.any(is_apart, axis=2).tolist(), strict=True):
+        own.moved = None if all(apart) else own.moved or _in_open_frame(state, own.track, config)
+        if own.moved is not None:
+            yield _of_open(state, own.moved)
+
+
+def _placed(state: MapState, track: Track) -> PlacedTrack:
+    submaps, known = state.submaps, state.derived.placed.get(track.id)
+    places = submaps.world_from(track.submap_id), submaps.world_from(submaps.open_id)
+    if known is not None and known.track is track and all(a is b for a, b in zip(known.places, places, strict=True)):
+        return known
+    center = apply(submaps.open_from(track.submap_id), track.box.center[None])[0]
+    return PlacedTrack(track, places, center, portable.norm(track.box.half_extents_m))
 
 
 def _in_open_frame(state: MapState, track: Track, config: MappingConfig) -> Track:
-    moved_there = moved_track(track, state.submaps.open_from(track.submap_id), config.voxels.object_m)
-    return replace(moved_there, submap_id=state.submaps.open_id, seen_in=state.submaps.open_id)
+    place = state.submaps.open_from(track.submap_id)
+    return _of_open(state, moved_track(track, place, config.voxels.object_m))
+
+
+def _of_open(state: MapState, track: Track) -> Track:
+    return replace(track, submap_id=state.submaps.open_id, seen_in=state.submaps.open_id)
 
 
 def _brought_back(state: MapState, track: Track, why: str) -> list[Effect]:
