@@ -46,15 +46,6 @@ def bounds_of_keys(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
     return tuple(np.array([of(field) for field in fields]) - _OFFSET for of in (np.min, np.max))  # type: ignore[return-value]
 
 
-def within_bounds(sorted_keys: NDArray[np.int64], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted keys whose cells are within bounds (3,), both included."""
-    low, high = (np.clip(cell, -_OFFSET, _MASK - _OFFSET) + _OFFSET for cell in (low, high))
-    first, last = np.searchsorted(sorted_keys, [low[0] << (2 * _BITS), (high[0] + 1) << (2 * _BITS)])
-    keys = sorted_keys[first:last]
-    y, z = (keys >> _BITS) & _MASK, keys & _MASK
-    return keys[(y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2])]
-
-
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
     """Return the (N,) keys of the voxels that hold (N, 3) finite points; neither sorted nor unique."""
     return _keys_of_points(read_only(points), float(voxel_m))
@@ -123,6 +114,12 @@ def row_of_key(key):
 
 
 @kernel
+def cell_of_key(key):
+    """Return the cell of a key: its three coordinates."""
+    return ((key >> (2 * _BITS)) & _MASK) - _OFFSET, row_of_key(key), (key & _MASK) - _OFFSET
+
+
+@kernel
 def key_of_point(x, y, z, voxel_m):
     """Return the key of the voxel that holds a finite point."""
     i = np.int64(np.floor(np.float64(x) / voxel_m)) + _OFFSET
@@ -135,8 +132,7 @@ def key_of_point(x, y, z, voxel_m):
 def _cells_of_keys(keys):
     out = np.empty((len(keys), 3), dtype=np.int64)
     for i in range(len(keys)):
-        out[i, 0] = ((keys[i] >> (2 * _BITS)) & _MASK) - _OFFSET
-        out[i, 1], out[i, 2] = ((keys[i] >> _BITS) & _MASK) - _OFFSET, (keys[i] & _MASK) - _OFFSET
+        out[i, 0], out[i, 1], out[i, 2] = cell_of_key(keys[i])
     return out
 
 

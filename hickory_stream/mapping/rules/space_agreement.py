@@ -13,24 +13,25 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.arrays import read_only
 from hickory_stream.geometry.lazy_arrays import read_briefly
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
+    are_near,
     bounds_of_keys,
-    cells_of_keys,
-    centers_of_keys,
+    cell_of_key,
     contains,
-    contains_near,
-    keys_of_cells,
+    key_of_point,
     sorted_unique,
     union,
-    within_bounds,
 )
 from hickory_stream.mapping.entities.observed_space import SpaceState, structure_of
 from hickory_stream.mapping.entities.submaps import Submaps, SubmapState
 
-# So many compared spaces are held at once; each takes a few megabytes.
-_MOST_SPACES = 16
+# So many compared spaces are held at once, two blocks of them; each takes a few megabytes.
+_BLOCK = 8
+_MOST_SPACES = 2 * _BLOCK
 
 
 def agreed_after_placement(submaps: Submaps, before: Submaps) -> Submaps:
@@ -38,7 +39,9 @@ def agreed_after_placement(submaps: Submaps, before: Submaps) -> Submaps:
     if submaps.states[-1].outdated is None:
         return submaps
     states, spaces = list(submaps.states), _OwnSpaces(submaps)
-    for earlier_id, later_id in combinations(range(len(states)), 2):
+    # Block by block, so that few spaces are read again.
+    pairs = combinations(range(len(states)), 2)
+    for earlier_id, later_id in sorted(pairs, key=lambda pair: [i // _BLOCK for i in pair]):
         if _may_meet(submaps, earlier_id, later_id):
             states[earlier_id] = _after(submaps, states[earlier_id], later_id, spaces)
     for i, (state, old) in enumerate(zip(states, before.states, strict=True)):
@@ -62,18 +65,41 @@ def agreed_after(submaps: Submaps, ended_id: int) -> Submaps:
 def contradicted(space: SpaceState, later: SpaceState, later_from_here: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the sorted voxels of a space that a later one contradicts; `later_from_here` (4, 4) is rigid."""
     # Structure is contradicted where its voxel's centre is free and no structure is beside it: the lattices differ.
-    bounds = _bounds_of(later)
+    bounds = _reach_of(later)
     if bounds is None:
         return np.empty(0, dtype=np.int64)
     # Only what lies where the later one has seen anything.
     low, high = (np.floor(m / space.voxel_m).astype(np.int64) for m in _turned(bounds, invert(later_from_here)))
-    free, structure = (within_bounds(keys, low - 1, high + 1) for keys in (space.free, structure_of(space)))
-    solid = structure_of(later)
-    is_filled = contains(solid, _keys_there(free, space.voxel_m, later_from_here, later.voxel_m))
-    there = _keys_there(structure, space.voxel_m, later_from_here, later.voxel_m)
+    place, solid = (space.voxel_m, read_only(later_from_here), later.voxel_m), structure_of(later)
+    free, there = _brought(read_only(space.free), low - 1, high + 1, *place)
+    filled = free[contains(solid, there)]
+    structure, there = _brought(read_only(structure_of(space)), low - 1, high + 1, *place)
     is_open = contains(later.free, there)
-    is_open[is_open] = ~contains_near(solid, cells_of_keys(there[is_open]))
-    return sorted_unique(np.concatenate([free[is_filled], structure[is_open]]))
+    is_open[is_open] = ~are_near(solid, there[is_open])
+    return sorted_unique(np.concatenate([filled, structure[is_open]]))
+
+
+@kernel
+def _brought(keys, low, high, voxel_m, there_from_here, there_voxel_m):
+    # The keys within bounds (3,), both included, and those of the voxels there that hold their centres.
+    kept, there, count = np.empty_like(keys), np.empty_like(keys), 0
+    for key in keys:
+        i, j, k = cell_of_key(key)
+        if low[0] <= i <= high[0] and low[1] <= j <= high[1] and low[2] <= k <= high[2]:
+            # Centres are stored in single precision.
+            x = np.float64(np.float32((i + 0.5) * voxel_m))
+            y = np.float64(np.float32((j + 0.5) * voxel_m))
+            z = np.float64(np.float32((k + 0.5) * voxel_m))
+            m = there_from_here
+            kept[count] = key
+            there[count] = key_of_point(
+                x * m[0, 0] + y * m[0, 1] + z * m[0, 2] + m[0, 3],
+                x * m[1, 0] + y * m[1, 1] + z * m[1, 2] + m[1, 3],
+                x * m[2, 0] + y * m[2, 1] + z * m[2, 2] + m[2, 3],
+                there_voxel_m,
+            )
+            count += 1
+    return kept[:count], there[:count]
 
 
 # The lowest and the highest corner (3,) of a space, metres in its own frame.
@@ -104,11 +130,11 @@ def _bounds_of(space: SpaceState) -> _Bounds | None:
     return low * space.voxel_m, (high + 1) * space.voxel_m
 
 
-def _reach_of(state: SubmapState) -> _Bounds | None:
-    if state.seen not in _REACH:
-        with read_briefly(state.seen):
-            _REACH[state.seen] = _bounds_of(state.seen)
-    return _REACH[state.seen]
+def _reach_of(space: SpaceState) -> _Bounds | None:
+    if space not in _REACH:
+        with read_briefly(space):
+            _REACH[space] = _bounds_of(space)
+    return _REACH[space]
 
 
 _REACH: WeakKeyDictionary[SpaceState, _Bounds | None] = WeakKeyDictionary()
@@ -122,7 +148,7 @@ def _turned(bounds: _Bounds, there_from_here: NDArray[np.float64]) -> _Bounds:
 
 def _may_meet(submaps: Submaps, earlier_id: int, later_id: int) -> bool:
     # By bounds alone: in a building most submaps lie in other rooms.
-    earlier, later = _reach_of(submaps.states[earlier_id]), _reach_of(submaps.states[later_id])
+    earlier, later = _reach_of(submaps.states[earlier_id].seen), _reach_of(submaps.states[later_id].seen)
     if earlier is None or later is None:
         return False
     low, high = _turned(earlier, submaps.between(later_id, earlier_id))
@@ -143,10 +169,3 @@ def _after(submaps: Submaps, state: SubmapState, later_id: int, spaces: _OwnSpac
         known[later] = place, contradicted(spaces.of(state.id), spaces.of(later_id), later_from_here)
     found = known[later][1]
     return state if len(found) == 0 else replace(state, outdated=union(state.outdated, found))
-
-
-def _keys_there(
-    keys: NDArray[np.int64], voxel_m: float, there_from_here: NDArray[np.float64], there_voxel_m: float
-) -> NDArray[np.int64]:
-    centers = apply(there_from_here, centers_of_keys(keys, voxel_m).astype(np.float64))
-    return keys_of_cells(np.floor(centers / there_voxel_m))
