@@ -5,9 +5,8 @@ submap, but the map does not show it (`submaps.record_of`). Decisions about trac
 submaps are placed, and when one ends.
 """
 
-from collections import OrderedDict
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations_with_replacement, product
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -29,21 +28,21 @@ from hickory_stream.geometry.voxels import (
 from hickory_stream.mapping.entities.observed_space import SpaceState, structure_of
 from hickory_stream.mapping.entities.submaps import Submaps, SubmapState
 
-# So many compared spaces are held at once, two blocks of them; each takes a few megabytes.
+# Submaps are compared in blocks of so many: all spaces of a building do not fit into memory, each takes some megabytes.
 _BLOCK = 8
-_MOST_SPACES = 2 * _BLOCK
 
 
 def agreed_after_placement(submaps: Submaps, before: Submaps) -> Submaps:
     """Return the submaps, just placed, with their outdated voxels; equal ones stay the same array as `before`."""
     if submaps.states[-1].outdated is None:
         return submaps
-    states, spaces = list(submaps.states), _OwnSpaces(submaps)
-    # Block by block, so that few spaces are read again.
-    pairs = combinations(range(len(states)), 2)
-    for earlier_id, later_id in sorted(pairs, key=lambda pair: [i // _BLOCK for i in pair]):
-        if _may_meet(submaps, earlier_id, later_id):
-            states[earlier_id] = _after(submaps, states[earlier_id], later_id, spaces)
+    states = list(submaps.states)
+    blocks = [range(i, min(i + _BLOCK, len(states))) for i in range(0, len(states), _BLOCK)]
+    for earlier, later in combinations_with_replacement(blocks, 2):
+        with read_briefly(*{states[i].seen for i in (*earlier, *later)}):
+            for earlier_id, later_id in product(earlier, later):
+                if earlier_id < later_id:
+                    states[earlier_id] = _after(submaps, states[earlier_id], later_id)
     for i, (state, old) in enumerate(zip(states, before.states, strict=True)):
         if state.outdated is not None and old.outdated is not None and np.array_equal(state.outdated, old.outdated):
             states[i] = replace(state, outdated=old.outdated)
@@ -52,13 +51,13 @@ def agreed_after_placement(submaps: Submaps, before: Submaps) -> Submaps:
 
 def agreed_after(submaps: Submaps, ended_id: int) -> Submaps:
     """Return the submaps after one has ended, which contradicts those before it."""
-    if submaps.states[ended_id].outdated is None:
+    ended = submaps.states[ended_id]
+    if ended.outdated is None:
         return submaps
-    spaces = _OwnSpaces(submaps)
     states = list(submaps.states)
     for state in states[:ended_id]:
-        if _may_meet(submaps, state.id, ended_id):
-            states[state.id] = _after(submaps, state, ended_id, spaces)
+        with read_briefly(state.seen, ended.seen):
+            states[state.id] = _after(submaps, state, ended_id)
     return replace(submaps, states=tuple(states))
 
 
@@ -106,34 +105,12 @@ def _brought(keys, low, high, voxel_m, there_from_here, there_voxel_m):
 _Bounds = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
-class _OwnSpaces:
-    # The spaces seen in submaps, last used last: all of a building do not fit into memory.
-    def __init__(self, submaps: Submaps) -> None:
-        self._states = submaps.states
-        self._spaces: OrderedDict[int, SpaceState] = OrderedDict()
-
-    def of(self, submap_id: int) -> SpaceState:
-        if submap_id not in self._spaces:
-            with read_briefly(self._states[submap_id].seen):
-                self._spaces[submap_id] = replace(self._states[submap_id].seen)
-            if len(self._spaces) > _MOST_SPACES:
-                self._spaces.popitem(last=False)
-        self._spaces.move_to_end(submap_id)
-        return self._spaces[submap_id]
-
-
-def _bounds_of(space: SpaceState) -> _Bounds | None:
-    parts = [bounds_of_keys(keys) for keys in (space.free, space.surface) if len(keys)]
-    if not parts:
-        return None
-    low, high = np.min([low for low, _ in parts], axis=0), np.max([high for _, high in parts], axis=0)
-    return low * space.voxel_m, (high + 1) * space.voxel_m
-
-
 def _reach_of(space: SpaceState) -> _Bounds | None:
     if space not in _REACH:
         with read_briefly(space):
-            _REACH[space] = _bounds_of(space)
+            parts = [bounds_of_keys(keys) for keys in (space.free, space.surface) if len(keys)]
+        low, high = np.array(parts).reshape(-1, 2, 3).transpose(1, 0, 2)
+        _REACH[space] = (low.min(axis=0) * space.voxel_m, (high.max(axis=0) + 1) * space.voxel_m) if parts else None
     return _REACH[space]
 
 
@@ -160,12 +137,14 @@ _ByLater = WeakKeyDictionary[SpaceState, tuple[bytes, NDArray[np.int64]]]
 _FOUND: WeakKeyDictionary[SpaceState, _ByLater] = WeakKeyDictionary()
 
 
-def _after(submaps: Submaps, state: SubmapState, later_id: int, spaces: _OwnSpaces) -> SubmapState:
+def _after(submaps: Submaps, state: SubmapState, later_id: int) -> SubmapState:
     assert state.outdated is not None, "of a map that was corrected"
+    if not _may_meet(submaps, state.id, later_id):
+        return state
     later_from_here, later = submaps.between(later_id, state.id), submaps.states[later_id].seen
     known = _FOUND.setdefault(state.seen, WeakKeyDictionary())
     place = later_from_here.tobytes()
     if later not in known or known[later][0] != place:
-        known[later] = place, contradicted(spaces.of(state.id), spaces.of(later_id), later_from_here)
+        known[later] = place, contradicted(state.seen, later, later_from_here)
     found = known[later][1]
     return state if len(found) == 0 else replace(state, outdated=union(state.outdated, found))

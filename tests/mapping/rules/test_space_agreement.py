@@ -143,7 +143,7 @@ def test_a_submap_that_ends_later_has_its_word_as_well():
 
 def test_spaces_of_moved_submaps_are_compressed_and_read_briefly(monkeypatch):
     core, plain = walked(is_corrected=True), walked(is_corrected=True)
-    monkeypatch.setattr(space_agreement, "_MOST_SPACES", 1)
+    monkeypatch.setattr(space_agreement, "_BLOCK", 1)
     first = core.submaps[0]
     assert has_given_up(first.space)
     assert has_given_up(first.seen)

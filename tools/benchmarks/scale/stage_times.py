@@ -35,7 +35,7 @@ BUDGET_MS = sum(STAGE_BUDGETS_MS.values())
 _STAGES = (
     ("reading", ("decode", "_renumbered", "_placed", "next", "open_")),
     ("perception", ("prepare", "_perceived", "free_space")),
-    ("registration", ("RegistrationFilter", "keyframe_surface", "_found")),
+    ("registration", ("RegistrationFilter", "keyframe_surface", "keypoints_of", "_found")),
     ("deciding", ("handle", "decide", "_answered", "features", "extract", "pooled")),
 )
 
