@@ -17,7 +17,7 @@ from hickory_stream.alignment.answer import Contradictions
 from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import contains, contains_near, keys_of_cells
+from hickory_stream.geometry.voxels import are_near, contains, keys_of_cells
 from hickory_stream.records import Submap
 
 _MAX_POINTS = 100
@@ -79,10 +79,10 @@ def _missing(
         is_free |= contains(space.free, keys_of_cells(cells))
         # What one submap has as solid no other has to be asked for, nor points of objects that are near nothing else.
         left = np.flatnonzero(~is_solid)
-        is_solid[left] = contains_near(space.structure, cells[left])
+        is_solid[left] = are_near(space.structure, keys_of_cells(cells[left]))
         left = left[~is_solid[left]]
         bodies = bodies[_within(_NEAR_VOXELS * space.voxel_m, bodies, points_other[left])]
-        is_solid[left] = contains_near(np.unique(keys_of_cells(_cells(bodies, submap))), cells[left])
+        is_solid[left] = are_near(np.unique(keys_of_cells(_cells(bodies, submap))), keys_of_cells(cells[left]))
     for points, box in zip(other.points, other.boxes, strict=True):
         if points is None:
             is_solid |= box.contains(points_other)

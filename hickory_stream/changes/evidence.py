@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from hickory_stream.changes.records import Evidence
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import bounds_of_keys, contains, contains_near, keys_of_cells
+from hickory_stream.geometry.voxels import are_near, bounds_of_keys, contains, keys_of_cells
 from hickory_stream.records import MapSnapshot, Phase, Submap, TrackedObject
 
 _POINTS_OF_SURFACE = 2500
@@ -112,7 +112,7 @@ def _on_structure(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np
     found = np.zeros(len(points), dtype=bool)
     for submap, inside in _around(places, points):
         left = inside[~found[inside]]
-        found[left] = contains_near(submap.observed_space.structure, _cells(points[left], submap))
+        found[left] = are_near(submap.observed_space.structure, keys_of_cells(_cells(points[left], submap)))
     return found
 
 

@@ -61,11 +61,6 @@ def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDAr
     return _contains(read_only(sorted_keys), read_only(queries))
 
 
-def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return for each of (N, 3) cells whether it is among the sorted keys, or next to one of them."""
-    return are_near(sorted_keys, keys_of_cells(cells))
-
-
 def are_near(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return for each query whether its voxel, or one of the 26 around it, is among the sorted keys, as `contains`."""
     return _are_near(read_only(sorted_keys), read_only(queries))

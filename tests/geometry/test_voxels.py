@@ -55,7 +55,7 @@ def test_a_key_is_contained_when_its_cell_is_in_the_set(cells, queries):
 @given(few_cells, few_cells)
 def test_a_cell_is_near_a_set_when_it_or_a_neighbour_is_in_it(cells, queries):
     expected = [tuple(cell) in neighbours(cells) for cell in queries.tolist()]
-    assert voxels.contains_near(sorted_keys(cells), queries).tolist() == expected
+    assert voxels.are_near(sorted_keys(cells), voxels.keys_of_cells(queries)).tolist() == expected
 
 
 @given(few_cells)

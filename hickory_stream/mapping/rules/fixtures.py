@@ -17,9 +17,9 @@ from hickory_stream.geometry.voxels import (
     STEP_X,
     STEP_Y,
     STEP_Z,
+    are_near,
     cells_of_keys,
     contains,
-    contains_near,
     difference,
     first_not_below,
     key_of_point,
@@ -114,7 +114,7 @@ def signs_of(track: Track, space: SpaceState) -> Signs:
     half = track.box.half_extents_m
     thin = int(np.argmin(half))
     thick_m, high_m = 2 * float(half[thin]), 2 * float(half[2])
-    attached = float(contains_near(walls, cells).mean())
+    attached = float(are_near(walls, keys).mean())
     border = float(_found_around(track, walls, space.voxel_m, thin).any(axis=1).mean())
     rests, hangs = _held(keys, cells, walls, space)
     upright = 1.0 - abs(float(track.box.world_from_box[2, thin]))
