@@ -4,6 +4,7 @@ Frames become the messages of the ROS 2 wrapper; an SVO file waits for its reade
 """
 
 import re
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,6 @@ from hickory_stream.geometry.camera import Camera
 from players.live import zed_messages as zed
 from players.live.inbox import Inbox
 from players.live.transport import Health, ThreadedRoute
-from players.live.zed_sdk import check_sdk, load_sdk
 
 _PORT = 30000
 _AGAIN_S = 1.0
@@ -163,3 +163,68 @@ def _pinhole(camera: Any) -> Camera:
 
 def _name(value: Any) -> str:
     return str(getattr(value, "name", value))
+
+
+# The ZED SDK's Python module, `pyzed.sl`, and the names that are used of it.
+USED = {
+    "Camera": (
+        "open",
+        "close",
+        "grab",
+        "retrieve_image",
+        "retrieve_measure",
+        "get_position",
+        "get_timestamp",
+        "get_camera_information",
+        "get_frame_dropped_count",
+        "enable_positional_tracking",
+        "get_sdk_version",
+    ),
+    "InitParameters": (
+        "set_from_serial_number",
+        "set_from_stream",
+        "set_from_svo_file",
+        "coordinate_units",
+        "coordinate_system",
+        "svo_real_time_mode",
+    ),
+    "PositionalTrackingParameters": ("enable_area_memory",),
+    "RuntimeParameters": (),
+    "Mat": ("get_data",),
+    "Pose": ("pose_data",),
+    "Transform": ("m",),
+    "UNIT": ("METER",),
+    "COORDINATE_SYSTEM": ("IMAGE",),
+    "VIEW": ("LEFT",),
+    "MEASURE": ("DEPTH",),
+    "REFERENCE_FRAME": ("WORLD",),
+    "TIME_REFERENCE": ("IMAGE",),
+    "POSITIONAL_TRACKING_STATE": ("OK",),
+    "ERROR_CODE": ("SUCCESS", "CORRUPTED_FRAME", "CAMERA_REBOOTING", "END_OF_SVOFILE_REACHED"),
+}
+"""Classes and what is used of each."""
+
+_HOW = (
+    "install the SDK from stereolabs.com/developers (it needs CUDA), then its Python module with its own "
+    "get_python_api.py (on Linux in /usr/local/zed); the package `pyzed` of the package index is something else"
+)
+
+
+def load_sdk() -> Any:
+    """Return the module. Raises `RecordingError`: it is not installed, or lacks a name."""
+    try:
+        found = import_module("pyzed.sl")
+    except ImportError as error:
+        raise RecordingError(f"the ZED SDK is missing ({error}): {_HOW}") from error
+    check_sdk(found)
+    return found
+
+
+def check_sdk(sl: Any) -> None:
+    """Raise `RecordingError` if the module lacks a name, e.g. in another version."""
+    for owner, names in USED.items():
+        for name in (None, *names):
+            found = getattr(sl, owner, None)
+            if found is None or (name is not None and not hasattr(found, name)):
+                lacking = owner if name is None or found is None else f"{owner}.{name}"
+                raise RecordingError(f"the ZED SDK that was found lacks {lacking}, expected version 5: {_HOW}")

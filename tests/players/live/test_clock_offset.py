@@ -1,4 +1,4 @@
-from players.live.clock_offset import ClockOffset
+from players.live.live_log import ClockOffset
 
 SECOND = 1_000_000_000
 

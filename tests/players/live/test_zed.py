@@ -7,8 +7,7 @@ from players.doctor.diagnosis import examine
 from players.live import open_live
 from players.live.routes import is_live, is_recording, route_of
 from players.live.zed_messages import COLOR, ODOM
-from players.live.zed_route import ZedRoute
-from players.live.zed_sdk import USED, check_sdk, load_sdk
+from players.live.zed_route import USED, ZedRoute, check_sdk, load_sdk
 from players.options import SourceOptions
 from tests.player_scenes import make_scene, mcap_writer
 from tests.players.live.fake_zed import PUBLISHED, fake_sl
