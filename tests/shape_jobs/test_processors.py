@@ -13,7 +13,7 @@ from hickory_stream.map_folder.manifest import read_manifest
 from hickory_stream.map_folder.writer import create_map_folder
 from players.live import inbox, live_log
 from tests.engine.run_fixtures import SOON, map_scene
-from tools.benchmarks.scale.processors import digest_on, variants
+from tools.benchmarks.scale.engine import digest_on, variants
 
 _OTHER = next(variant for variant in variants() if variant.name == "all of these")
 # What rounds as its processor does: NumPy's vector code, the C library, and BLAS, in this order.

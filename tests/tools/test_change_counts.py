@@ -7,8 +7,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.pictures.raycast import Scene, Surface
 from tests.engine.snapshot_fixtures import box_mesh
 from tools.benchmarks.maps.change_counts import PairCounts, calibration_figures, count_figures, sum_of
-from tools.benchmarks.maps.changes import judged
-from tools.benchmarks.maps.passers_by import is_of_person
+from tools.benchmarks.maps.changes import is_of_person, judged
 from tools.benchmarks.maps.within_run import counted
 from tools.evaluation.true_changes import TrueChanges
 

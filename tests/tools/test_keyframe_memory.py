@@ -1,6 +1,6 @@
 import pytest
 from hickory_stream.errors import HickoryError
-from tools.benchmarks.perception.keyframe_memory import keyframe_memory
+from tools.benchmarks.perception.frames import keyframe_memory
 
 
 def test_the_count_exceeds_the_weights_and_does_not_grow(demo_log):

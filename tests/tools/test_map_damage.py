@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 import numpy as np
 import pytest
-from tools.benchmarks.logs.small_maps import write_small_map
+from tools.benchmarks.logs.damaged_maps import write_small_map
 from tools.damage.map_changes import TARGETS, change_map, change_text
 
 ROOT = Path(__file__).resolve().parents[2]

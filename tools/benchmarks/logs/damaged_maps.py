@@ -13,7 +13,7 @@ import signal
 import sys
 import tempfile
 import traceback
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,19 @@ import numpy as np
 import psutil
 
 from hickory_stream.base.compiled import kernels_folder
-from hickory_stream.base.config_text import to_toml
+from hickory_stream.base.config_text import read_config, to_toml
+from hickory_stream.box_scene import SceneSource
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.shape_jobs.job_folder import write_job
+from hickory_stream.events import RequestShape
+from hickory_stream.map_folder.manifest import MANIFEST, manifest_json
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.settings import Settings
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
+from tools.benchmarks.common.cached_runs import play_into
 from tools.benchmarks.common.figures import Figure, figure
-from tools.benchmarks.common.processes import DEMO
+from tools.benchmarks.common.processes import COARSE, DEMO
 from tools.benchmarks.common.repetitions import Repetitions
-from tools.benchmarks.logs.small_maps import as_live_and_killed, write_small_map
 from tools.damage.map_changes import OUTSIDE, TARGETS, change_map, change_text
 
 _TOO_LONG_S = 60
@@ -260,3 +267,34 @@ def _watch(folder: Path, outside: list[str]) -> None:
             outside.append(f"{event} {arguments[:2]}"[:200])
 
     sys.addaudithook(note)
+
+
+# A small map of an in-memory scene, with every kind of file of a map folder: the map that is damaged.
+_NUM_FRAMES = 6
+_OVERRIDES = (
+    *COARSE, "mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5", "journal.checkpoint_keyframes=3",
+    "run.workers=1",
+)  # fmt: skip
+
+
+def write_small_map(path: Path) -> None:
+    """Write a finished map of a few objects, with the input of a shape job in `failed/`."""
+    config = read_config(MapperConfig, None, _OVERRIDES)
+    segmenter = InstanceSegmenter(SceneSource(_NUM_FRAMES).instances)
+    play_into(path, SceneSource(_NUM_FRAMES), config, segmenter=segmenter, extractor=MeanColorExtractor())
+    saved = open_map(path)
+    tracked = next(item for item in saved.snapshot.objects if item.shape is not None)
+    request = RequestShape(
+        ticket=1, object_id=tracked.id, views=tracked.views, points_world=tracked.points_world, colors=tracked.colors,
+        box=tracked.box, support_z_m=0.0, due_ns=0,
+    )  # fmt: skip
+    write_job(path / "failed" / f"{tracked.id:06d}", request, saved.views, config.shapes)
+
+
+def as_live_and_killed(path: Path) -> None:
+    """Make a map look like a killed live run, which `resume` saves as of its last step."""
+    manifest = open_map(path, warns=False).manifest
+    run = {**manifest.run, "mode": "live"}
+    killed = replace(manifest, finished_cleanly=False, digest=None, run=run)
+    (path / MANIFEST).unlink()
+    (path / MANIFEST).write_bytes(manifest_json(killed))
