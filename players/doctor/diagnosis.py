@@ -32,7 +32,7 @@ from players.doctor.depth_color_alignment import (
 )
 from players.doctor.depth_noise import DepthNoise, FlatPatches, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
-from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
+from players.doctor.light_and_rain import DARK, GREY, RAIN, Conditions, conditions_of, median_conditions
 from players.doctor.motion_agreement import STEPS, MotionAgreement, MotionSampler
 from players.doctor.motion_mends import ANYWAY, DepthUnit, depth_unit_of, link_of, mend_of
 from players.doctor.stream_stats import CountedLog, StreamStats, clock_steps, nearest_ms
@@ -226,7 +226,7 @@ def examine_frames(
     borders: list[BorderScores] = []
     seen_from: list[NDArray[np.float64]] = []
     patches, views, wanted = list[FlatPatches](), list[FlatPatches](), ViewSampler(expected)
-    lights: list[Brightness] = []
+    lights: list[Conditions] = []
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
     # An odometry's poses come from the images themselves.
@@ -257,7 +257,7 @@ def examine_frames(
                 invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
                 sensor = config.sensor.over(frame.sensor)
                 patches.append(flat_patches(frame))
-                lights.append(brightness_of(frame.rgb))
+                lights.append(conditions_of(frame))
                 if invalid[-1] < _NO_DEPTH:
                     floors.append(floor_in(frame))
                 # The same edges are one witness, however often they are seen.
@@ -280,7 +280,7 @@ def examine_frames(
     agreement = color_alignment(borders)
     agreed = motions.agreement(link_of(source)) if motions is not None else None
     lag = color_lag(motions.lag_scores) if motions is not None else None
-    noise, bias, light = depth_noise(patches), depth_bias(views), median_brightness(lights)
+    noise, bias, light = depth_noise(patches), depth_bias(views), median_conditions(lights)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
@@ -313,7 +313,7 @@ def examine_frames(
     if agreed is None or not agreed.is_worthless:
         judge_depth(found, noise, bias, sensor)
         found.notes += gravity_notes(floors)
-    judge_brightness(found, light)
+    judge_conditions(found, light)
     if isinstance(played, LogSource | FolderSource):
         findings = played.findings()
         found.problems += [text for text, is_harmful in findings.items() if is_harmful]
@@ -463,15 +463,22 @@ def judge_extrinsics(found: Diagnosis, source: LogSource) -> None:
             found.fixes["rig"] = {"links": [{"parent": rig.body, "child": rig.color, "matrix": matrix}]}
 
 
-def judge_brightness(found: Diagnosis, light: Brightness | None) -> None:
-    """Report images that are dark or without colour."""
-    if light is not None and light.is_dark:
+def judge_conditions(found: Diagnosis, seen: Conditions | None) -> None:
+    """Report images that are dark or without colour, and depth of drops in the air."""
+    if seen is None:
+        return
+    if seen.brightness < DARK:
         found.problems.append(
-            f"colour is black or nearly so (half of the pixels are below {light.median:.0f} of 255): only depth "
+            f"colour is black or nearly so (half of the pixels are below {seen.brightness:.0f} of 255): only depth "
             "separates things, and those of one surface become one; record with light, or check the exposure"
         )
-    elif light is not None and light.is_grey:
+    elif seen.color < GREY:
         found.notes.append("the camera has no colour: only brightness and depth separate things")
+    if seen.specks > RAIN:
+        found.problems.append(
+            f"{seen.specks:.1%} of the depth are specks in the air, nearer than all around them; without rain or snow "
+            f"at most {RAIN:.1%} are: things behind are seen less. Record when it is dry, or clean the camera's window"
+        )
 
 
 def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:

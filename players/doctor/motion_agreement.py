@@ -132,10 +132,8 @@ def step_between(before: Frame, after: Frame) -> CameraStep | None:
     # The unit does not matter to the projection, but to the solver's thresholds.
     unit = float(np.median(z))
     rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(z))])
-    points, matrix = (
-        rays * (z / unit)[:, None],
-        np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]),
-    )
+    points = rays * (z / unit)[:, None]
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     cv2.setRNGSeed(0)
     found, turn, shift, chosen = cv2.solvePnPRansac(
         points, there, matrix, None, reprojectionError=2.0, flags=cv2.SOLVEPNP_EPNP

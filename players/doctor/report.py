@@ -1,6 +1,7 @@
 """A diagnosis as text, and as a page with plots."""
 
 import html
+from collections.abc import Sequence
 from typing import Any
 
 from hickory_stream.base.html_page import page
@@ -209,19 +210,19 @@ def diagnosis_page(found: Diagnosis) -> str:
     if found.topics:
         parts += ["<h2>Topics in time</h2>", _timeline(found.topics), _topic_table(found.topics)]
     if found.sync:
-        parts += ["<h2>Nearest depth of each colour image</h2>", _histogram(found.sync)]
-    if found.frames.get("depth_invalid"):
-        parts += ["<h2>Depth without return, sampled frames</h2>", _bars(found.frames["depth_invalid"])]
+        counts = found.sync["histogram"]["counts"]
+        edges = [f"{edge:.1f} ms" for edge in found.sync["histogram"]["edges_ms"]]
+        titles = [f"{a} to {b}: {n}" for a, b, n in zip(edges, edges[1:], counts, strict=False)]
+        plot = _bars(counts, titles, (edges[0], edges[-1]))
+        parts += ["<h2>Nearest depth of each colour image</h2>", plot]
+    if shares := found.frames.get("depth_invalid"):
+        plot = _bars(shares, [f"{share:.0%}" for share in shares], ("first frame", f"last; most: {max(shares):.0%}"))
+        parts += ["<h2>Depth without return, sampled frames</h2>", plot]
     if found.damage:
-        rows = "".join(
-            f"<tr><td>{e(d['file'])}</td><td class=n>{d['offset']}</td><td>{e(d['what'])}</td>"
-            f"<td class=n>{d['bytes']}</td><td class=n>{d['messages']}</td></tr>"
-            for d in found.damage
-        )
-        head = (
-            "<tr><th>file</th><th class=n>at byte</th><th>what</th><th class=n>bytes</th><th class=n>messages</th></tr>"
-        )
-        parts.append(f"<h2>Damage</h2><table>{head}{rows}</table>")
+        names = ("file", "at byte", "what", "bytes", "messages")
+        places = [[f"<td>{e(str(value))}</td>" for value in place.values()] for place in found.damage]
+        table = "".join(f"<tr>{''.join(row)}</tr>" for row in ([f"<th>{name}</th>" for name in names], *places))
+        parts.append(f"<h2>Damage</h2><table>{table}</table>")
     return page(found.uri, "\n".join(parts), _STYLE)
 
 
@@ -262,27 +263,14 @@ def _timeline(topics: dict[str, dict[str, Any]]) -> str:
     return f"<svg viewBox='0 0 920 {height}' width=100%>{''.join(rows)}{axis}</svg>"
 
 
-def _histogram(sync: dict[str, Any]) -> str:
-    counts, edges = sync["histogram"]["counts"], sync["histogram"]["edges_ms"]
-    most = max(counts) or 1
-    width = 880 / len(counts)
+def _bars(heights: Sequence[float], titles: Sequence[str], ends: tuple[str, str]) -> str:
+    width, most = 880 / len(heights), max(heights) or 1
     bars = "".join(
-        f"<rect x={20 + i * width:.1f} y={130 - 120 * c / most:.1f} width={width - 1:.1f} height={120 * c / most:.1f} "
-        f"fill='#3b6ea8'><title>{edges[i]:.1f} to {edges[i + 1]:.1f} ms: {c}</title></rect>"
-        for i, c in enumerate(counts)
-        if c
+        f"<rect x={20 + i * width:.1f} y={130 - 120 * height / most:.1f} width={max(1, width - 1):.1f} "
+        f"height={120 * height / most:.1f} fill='#3b6ea8'><title>{title}</title></rect>"
+        for i, (height, title) in enumerate(zip(heights, titles, strict=True))
+        if height
     )
-    ends = f"<text x=20 y=148>{edges[0]:.1f} ms</text><text x=900 y=148 text-anchor=end>{edges[-1]:.1f} ms</text>"
+    scale = f"<text x=20 y=148>{ends[0]}</text><text x=900 y=148 text-anchor=end>{ends[1]}</text>"
     line = "<line x1=20 x2=900 y1=130 y2=130 stroke='#a0aec0'/>"
-    return f"<svg viewBox='0 0 920 155' width=100%>{bars}{line}{ends}</svg>"
-
-
-def _bars(shares: list[float]) -> str:
-    width = 880 / max(len(shares), 12)
-    bars = "".join(
-        f"<rect x={20 + i * width:.1f} y={110 - 100 * s:.1f} width={width - 3:.1f} height={100 * s:.1f} fill='#c80'/>"
-        f"<text x={20 + i * width + width / 2:.1f} y=124 text-anchor=middle>{s:.0%}</text>"
-        for i, s in enumerate(shares)
-    )
-    line = "<line x1=20 x2=900 y1=110 y2=110 stroke='#a0aec0'/>"
-    return f"<svg viewBox='0 0 920 130' width=100%>{bars}{line}</svg>"
+    return f"<svg viewBox='0 0 920 155' width=100%>{bars}{scale}{line}</svg>"

@@ -13,7 +13,9 @@ from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.records import Phase
-from tests.perception.perception_scenes import Block, best_iou, floor, looking, render
+from players.doctor.diagnosis import Diagnosis, judge_conditions
+from players.doctor.light_and_rain import conditions_of, median_conditions
+from tests.perception.perception_scenes import Block, Cylinder, best_iou, floor, looking, render
 from tools.evaluation.masks.first_layer import answered
 
 CONFIG = MapperConfig()
@@ -22,6 +24,12 @@ BOX = Block(low=(0.2, -0.4, 0.0), high=(0.7, 0.2, 0.45), color=(180, 60, 50))
 PAVEMENT = Block(low=(1.0, -20.0, -1.0), high=(20.0, 20.0, 0.12), color=(130, 125, 120))
 HOUSE = Block(low=(1.6, -9.0, 0.0), high=(1.8, 9.0, 3.0), color=(205, 195, 180))
 KIOSK = Block(low=(0.8, 1.5, 0.0), high=(1.4, 2.1, 0.9), color=(200, 190, 60))
+# Posts, and bars and spokes of a bicycle.
+THIN = [
+    *(Cylinder(foot=(x, 0.4 * x, 0.0), radius=0.015, height=1.1, color=(60, 60, 60)) for x in (-0.6, -0.2, 0.4, 1.0)),
+    *(Block(low=(-0.8, -0.9, z), high=(-0.78, 0.1, z + 0.02), color=(20, 80, 20)) for z in (0.3, 0.6, 0.9)),
+    *(Block(low=(-0.8, y, 0.0), high=(-0.79, y + 0.008, 0.6), color=(20, 80, 20)) for y in np.arange(-0.9, -0.3, 0.1)),
+]
 STAIRS = [
     Block(low=(0.2 + 0.3 * i, -1.5, 0.0), high=(9.0, 1.5, 0.17 * (i + 1)), color=(140, 135, 130)) for i in range(8)
 ]
@@ -43,11 +51,16 @@ def with_hard_shadow(frame):
     return replace(frame, rgb=np.where(dark[..., None], frame.rgb * 0.3, frame.rgb).astype(np.uint8))
 
 
-def in_rain(frame):
-    rng = np.random.default_rng(2)
-    wrong = rng.random(frame.depth_m.shape) < 0.03
-    near = rng.uniform(0.4, 3.0, frame.depth_m.shape).astype(np.float32)
-    return replace(frame, depth_m=np.where(wrong, near, frame.depth_m))
+def in_rain(frame, share=0.03, streak=1):
+    rng, depth = np.random.default_rng(2), frame.depth_m.copy()
+    for y, x in rng.integers(0, depth.shape, (round(share * depth.size / streak), 2)):
+        depth[y : y + streak, x] = rng.uniform(0.4, 3.0)
+    return replace(frame, depth_m=depth)
+
+
+def with_holes(frame):
+    missed = np.random.default_rng(2).random(frame.depth_m.shape) < 0.15
+    return replace(frame, depth_m=np.where(missed, np.float32(np.nan), frame.depth_m))
 
 
 def on_ramp(frame, degrees):
@@ -103,12 +116,33 @@ def with_light(share):
     return lambda frame: replace(frame, rgb=np.clip(frame.rgb * share, 0, 255).astype(np.uint8))
 
 
-@pytest.mark.parametrize("changed", [with_light(0.0), with_light(2.2), with_hard_shadow, in_rain])
-def test_light_and_rain_change_no_mask_of_a_thing(changed):
+def doctor_names(frames):
+    found = Diagnosis(uri="frames")
+    judge_conditions(found, median_conditions([conditions_of(frame) for frame in frames]))
+    return found.problems + found.notes
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [(with_light(0.0), "colour is black"), (with_light(2.2), None), (with_hard_shadow, None), (in_rain, "in the air")],
+)
+def test_light_and_rain_change_no_mask_of_a_thing_and_doctor_names_them(changed, named):
     frame, shown = view(BOX)
     found, count = masks_of(changed(frame))
     assert count == 1
     assert best_iou(found.instances, shown == 1)[0] > 0.9
+    assert [named in line for line in doctor_names([changed(frame)])] == [True] * (named is not None)
+    assert doctor_names([changed(frame), frame, frame]) == []
+
+
+@pytest.mark.parametrize(("share", "streak"), [(0.003, 1), (0.01, 5)])
+def test_drops_before_thin_things_are_told_thin_things_and_holes_are_not(share, streak):
+    frame = with_holes(view(HOUSE, *THIN)[0])
+    assert doctor_names([frame]) == []
+    assert doctor_names([replace(frame, rgb=frame.rgb[..., :1].repeat(3, axis=-1))])[0].startswith(
+        "the camera has no c"
+    )
+    assert "specks in the air" in doctor_names([in_rain(frame, share, streak)])[0]
 
 
 @pytest.mark.parametrize("degrees", [-30, -15, 15, 30])

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
@@ -17,7 +18,6 @@ from players.doctor.diagnosis import (
     judge_color,
     judge_ends,
 )
-from players.doctor.image_brightness import brightness_of, median_brightness
 from players.doctor.report import diagnosis_page, diagnosis_text
 from tests import player_scenes as scenes
 from tests.cli.test_cli import answer, said
@@ -162,6 +162,10 @@ def test_a_folder_of_images_is_examined_too(tmp_path):
     assert 0.9 * sum(file.stat().st_size for file in files) < found.num_bytes
     assert found.ledger["declared"] == found.ledger["used"] == 2 * len(FRAMES)
     assert f"ledger: {2 * len(FRAMES)} files declared" in diagnosis_text(found)
+    drops = np.random.default_rng(0).random((60, 80)) < 0.02
+    wet = [replace(frame, depth_mm=np.where(drops, np.uint16(500), frame.depth_mm)) for frame in FRAMES]
+    (problem,) = _examined(scenes.write_tum(tmp_path / "rain", wet)).problems
+    assert re.match(r"1\.\d% of the depth are specks in the air", problem)
 
 
 def test_the_command_ends_with_the_verdict_in_text_json_and_page(tmp_path):
@@ -205,15 +209,3 @@ def test_a_camera_that_stops_long_before_the_other_is_a_problem(color_s, depth_s
     assert len(found.problems) == (said is not None)
     if said is not None:
         assert found.problems[0].startswith(said)
-
-
-def image(*rgb):
-    return brightness_of(np.broadcast_to(np.array(rgb, dtype=np.uint8), (40, 60, 3)))
-
-
-def test_a_black_image_is_dark_one_of_one_hue_grey():
-    assert image(3, 2, 4).is_dark and not image(90, 80, 70).is_dark
-    assert image(90, 90, 90).is_grey and not image(90, 60, 40).is_grey
-    assert median_brightness([]) is None
-    found = median_brightness([image(0, 0, 0), image(90, 60, 40), image(90, 60, 40)])
-    assert not found.is_dark and not found.is_grey
