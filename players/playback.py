@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.errors import InputError
-from hickory_stream.geometry.rigid import compose
+from hickory_stream.geometry.rigid import both_jumps
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
 from hickory_stream.ports import Source, SourceAround
 from hickory_stream.records import Frame, RawFrame, SourceInfo
@@ -163,7 +163,7 @@ class PlayedSource(SourceAround):
                     break
                 if target_ns is not None and frame.stamp_ns < target_ns:
                     self._num_skipped += 1
-                    jump = None if goes_back else _joined(jump, frame.after_from_before)
+                    jump = None if goes_back else both_jumps(jump, frame.after_from_before)
                     continue
                 keyframe = is_keyframe(last, frame.stamp_ns, frame.world_from_camera, self._keyframes)
                 self._clock.wait(frame.stamp_ns, is_keyframe=keyframe)
@@ -176,7 +176,7 @@ class PlayedSource(SourceAround):
                         break
                     if sought_ns > frame.stamp_ns:
                         self._num_skipped += 1
-                        jump = None if goes_back else _joined(jump, frame.after_from_before)
+                        jump = None if goes_back else both_jumps(jump, frame.after_from_before)
                         continue
                 if keyframe:
                     last = Keyframe(stamp_ns=frame.stamp_ns, world_from_camera=frame.world_from_camera)
@@ -184,7 +184,7 @@ class PlayedSource(SourceAround):
                     frame,
                     index=index,
                     decode=partial(_renumbered, frame.decode, index),
-                    after_from_before=_joined(jump, frame.after_from_before),
+                    after_from_before=both_jumps(jump, frame.after_from_before),
                     goes_back=goes_back,
                 )
                 index, goes_back, jump = index + 1, False, None
@@ -210,10 +210,6 @@ class PlayedSource(SourceAround):
         """Close the other source."""
         self._clock.stop()
         self._source.close()
-
-
-def _joined(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    return second if first is None else first if second is None else compose(second, first)
 
 
 def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:

@@ -20,6 +20,7 @@ from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.engine.modes import Mode
 from hickory_stream.errors import ModelError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
+from hickory_stream.geometry.rigid import both_jumps
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
@@ -103,7 +104,7 @@ class Reader:
         self._ahead_thread = ThreadPoolExecutor(1, "ahead")
         self._masks_thread, self._features_thread = _threads(num_masks, "masks"), _threads(num_features, "features")
         self._has_worked = False
-        #: The odometry's jump before a dropped frame, for the next one that is taken.
+        #: The odometry's jumps before dropped frames, for the next one that is taken.
         self._lost_jump: NDArray[np.float64] | None = None
         self.decode_s = 0.0
         #: Losses since the last queued frame (playback).
@@ -135,9 +136,9 @@ class Reader:
         try:
             if self._mode == "live":
                 first, *others = await self._channel.receive_all()
-                if self._lost_jump is not None and first.raw.after_from_before is None:
-                    first = replace(first, raw=replace(first.raw, after_from_before=self._lost_jump))
-                self._lost_jump = None
+                if self._lost_jump is not None:
+                    jump = both_jumps(self._lost_jump, first.raw.after_from_before)
+                    first, self._lost_jump = replace(first, raw=replace(first.raw, after_from_before=jump)), None
                 return [first, *others]
             read = await self._channel.receive()
         except ChannelClosed:
@@ -262,8 +263,7 @@ class Reader:
                 dropped = await self._channel.send(queued)
                 if dropped is not None:
                     self.counts["frames_dropped"] += 1
-                    if dropped.raw.after_from_before is not None:
-                        self._lost_jump = dropped.raw.after_from_before
+                    self._lost_jump = both_jumps(self._lost_jump, dropped.raw.after_from_before)
             offset = index + 1
             last_ns = None
 

@@ -27,6 +27,11 @@ def compose(a_from_b: NDArray[Any], *others: NDArray[Any]) -> NDArray[np.float64
     return product
 
 
+def both_jumps(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """Return two jumps in a row, after_from_before (4, 4) or None for none, as one."""
+    return second if first is None else first if second is None else compose(second, first)
+
+
 def invert(a_from_b: NDArray[Any]) -> NDArray[np.float64]:
     """Return `b_from_a`."""
     rotation = np.asarray(a_from_b[:3, :3], dtype=np.float64)

@@ -13,6 +13,8 @@ from hickory_stream.engine.publisher import ReportPublisher
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import OutputError, RecordingError
+from hickory_stream.events import PoseJumped
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.digest import map_digest
@@ -21,6 +23,10 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.perception.choose import make_extractor, make_segmenter
 from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config
+
+# The first frame is mapped, the last 32 wait.
+FIRST_TAKEN = 5 * NUM_FRAMES - 32
+JUMPS = {i: from_rotation_translation(yaw_rotation(0.1 * i), np.array([i, 0.0, 0.0])) for i in (2, 5, FIRST_TAKEN)}
 
 
 class HeldSegmenter(InstanceSegmenter):
@@ -51,11 +57,11 @@ class TellingSource(SceneSource):
 
 
 class JumpingSource(TellingSource):
-    """Its third frame tells that the odometry jumped."""
+    """Frames at some places of the log tell that the odometry jumped."""
 
     def frames(self):
         for i, raw in enumerate(super().frames()):
-            yield replace(raw, after_from_before=np.eye(4)) if i == 2 else raw
+            yield replace(raw, after_from_before=JUMPS.get(i))
 
 
 def fates(path):
@@ -90,13 +96,16 @@ def test_frames_during_a_busy_map_are_dropped_and_counted(tmp_path):
         assert journal.step(1).frames[-1].index == 6 * NUM_FRAMES - 1
 
 
-def test_a_jump_of_a_dropped_frame_is_told_by_the_next_one(tmp_path):
+def test_jumps_of_dropped_frames_are_told_by_the_next_one(tmp_path):
     segmenter = HeldSegmenter()
     source = JumpingSource(segmenter, rounds=1, num_frames=5 * NUM_FRAMES)
     map_scene(tmp_path, *NO_SHAPES, source=source, segmenter=segmenter, mode="live")
     frames = fates(tmp_path / "map")
-    assert frames["frames_dropped"] == 5 * NUM_FRAMES - 1 - 32
-    assert frames["pose_jumps"] == 1
+    assert frames["frames_dropped"] == FIRST_TAKEN - 1
+    with Journal(tmp_path / "map") as journal:
+        events = [event for i in range(len(journal)) for event in journal.entry(i).events]
+    jump = next(event.after_from_before for event in events if isinstance(event, PoseJumped))
+    np.testing.assert_allclose(jump, JUMPS[FIRST_TAKEN] @ JUMPS[5] @ JUMPS[2], atol=1e-12)
 
 
 def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path, monkeypatch):
