@@ -8,8 +8,8 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, inve
 from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.observed_space import added, empty_space, structure_of
+from hickory_stream.mapping.entities.submaps import SubmapState, first_submap
 from hickory_stream.mapping.rules import space_agreement
-from hickory_stream.mapping.rules.space_agreement import contradicted
 from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import SECOND_NS, drive
 from tests.mapping.test_submaps import CONFIG, at
@@ -34,6 +34,11 @@ def space_of(free, wall):
 
 ROOM, WALL = block((0, 0, 0), (1, 1, 0.5)), block((1, 0, 0), (1.1, 1, 0.5))
 CUPBOARD = block((0.4, 0.4, 0), (0.7, 0.7, 0.5))
+
+
+def contradicted(space, later, later_from_here):
+    outlines = (space_agreement.outline_of(one) for one in (space, later))
+    return space_agreement.contradicted(*outlines, later_from_here, V)
 
 
 def test_only_what_a_later_submap_saw_otherwise_is_contradicted():
@@ -141,20 +146,35 @@ def test_a_submap_that_ends_later_has_its_word_as_well():
     ).all()
 
 
-def test_spaces_of_moved_submaps_are_compressed_and_read_briefly(monkeypatch):
-    core, plain = walked(is_corrected=True), walked(is_corrected=True)
-    monkeypatch.setattr(space_agreement, "_BLOCK", 1)
+def test_spaces_of_moved_submaps_are_compressed_and_read_briefly():
+    core = walked(is_corrected=True)
     first = core.submaps[0]
     assert has_given_up(first.space)
     assert has_given_up(first.seen)
     for place in (np.eye(4), invert(TURN)):
-        for each in (core, plain):
-            each.handle(_placed(place))
-    shown, expected = core.snapshot().submaps[0].observed_space, plain.snapshot().submaps[0].observed_space
-    for name in ("free", "structure"):
-        assert np.array_equal(getattr(shown, name), getattr(expected, name))
+        core.handle(_placed(place))
+    assert len(core.snapshot().submaps[0].observed_space.free)
     assert not _is_at_hand(first.seen)
     assert not _is_at_hand(core.submaps[0].space)
+
+
+@given(st.integers(0, 1000), st.lists(st.sampled_from([np.eye(4), TURN, invert(TURN)]), min_size=2, max_size=6))
+@settings(max_examples=25)
+def test_later_submaps_contradict_one_by_one_and_as_one(seed, places):
+    rng = np.random.default_rng(seed)
+    seen = [space_of(rng.uniform(-0.5, 0.5, (400, 3)), rng.uniform(-0.5, 0.5, (60, 3))) for _ in places]
+    states = tuple(
+        SubmapState(id=i, world_from_submap=place, space=space, seen=space, outdated=np.empty(0, np.int64))
+        for i, (place, space) in enumerate(zip(places, seen, strict=True))
+    )
+    submaps = replace(first_submap(V), states=states)
+    found = space_agreement.agreed_after_placement(submaps, submaps).states
+    for i, state in enumerate(found):
+        pairs = (contradicted(seen[i], seen[j], submaps.between(j, i)) for j in range(i + 1, len(places)))
+        assert state.outdated.tolist() == sorted({key for keys in pairs for key in keys.tolist()})
+    for j in range(1, len(places)):
+        submaps = space_agreement.agreed_after(submaps, j)
+    assert [state.outdated.tolist() for state in submaps.states] == [state.outdated.tolist() for state in found]
 
 
 def _is_at_hand(space):
