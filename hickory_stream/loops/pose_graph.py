@@ -1,7 +1,6 @@
 """The pose graph of a map: its submaps as nodes, odometry between them, and loops."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,8 @@ from hickory_stream.graph.factors import (
 )
 from hickory_stream.graph.record import record_of
 from hickory_stream.graph.solution import Solution
-from hickory_stream.records import GraphEdge, Loop, PoseGraphRecord
+from hickory_stream.mapping.entities.submaps import SubmapState
+from hickory_stream.records import GraphEdge, Loop, PoseGraphRecord, SurveyedSubmap
 
 # The odometry's certainty of the vertical: visual-inertial ones know it to half a degree.
 _GRAVITY_SIGMA_RAD = 0.01
@@ -30,44 +30,8 @@ _CORRECT_M = 0.02
 _CORRECT_DEG = 0.3
 
 
-class Node(Protocol):
-    """A submap as a node of the graph."""
-
-    @property
-    def anchor(self) -> NDArray[np.float64] | None:
-        """The camera's first pose (4, 4) in the frame of the odometry."""
-
-    @property
-    def way_m(self) -> float:
-        """The length of the camera's path in it."""
-
-    @property
-    def turn_rad(self) -> float:
-        """The sum of the camera's turns in it."""
-
-    @property
-    def after_jump(self) -> bool:
-        """Whether the odometry jumped before it."""
-
-    @property
-    def jump_m(self) -> float:
-        """How far the jump leaves its place open (1 sigma)."""
-
-    @property
-    def jump_rad(self) -> float:
-        """The same of its turn."""
-
-    @property
-    def registered(self) -> NDArray[np.float64] | None:
-        """The covariance (6, 6) of its least certain keyframe, along the map's axes; None: not all were registered."""
-
-    @property
-    def blind(self) -> NDArray[np.float64] | None:
-        """The lengths of its path (6, 6), along the map's axes, along which the odometry saw nothing."""
-
-    @property
-    def unfixed(self) -> NDArray[np.float64] | None:
-        """The same of the registration of keyframes, if all were registered."""
+# A submap as a node of the graph.
+Node = SubmapState | SurveyedSubmap
 
 
 def pose_graph(

@@ -5,7 +5,7 @@ only if their normals, which look at the camera, agree (Pulli 1999): the two sid
 much surface met, and how much lies in the free space of the other submap.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -65,32 +65,23 @@ class Surface:
         return cKDTree(self.points)
 
 
-class Surfaces(Mapping[int, Surface]):
+class Surfaces(dict[int, Surface]):
     """The surfaces of submaps by their ids, each made on first use: few are candidates of a search."""
 
     def __init__(self, submaps: Iterable[SurveyedSubmap]) -> None:
+        super().__init__()
         self._submaps = {submap.id: submap for submap in submaps}
-        self._made: dict[int, Surface] = {}
 
-    def __getitem__(self, submap_id: int) -> Surface:
-        """Return a submap's surface."""
-        if submap_id not in self._made:
-            submap = self._submaps[submap_id]
-            self._made[submap_id] = Surface(
-                points=submap.points.astype(np.float64),
-                normals=submap.normals.astype(np.float64),
-                free=submap.free,
-                voxel_m=submap.voxel_m,
-                anchor=submap.anchor,
-            )
-        return self._made[submap_id]
-
-    def __iter__(self) -> Iterator[int]:
-        """Return the ids."""
-        return iter(self._submaps)
-
-    def __len__(self) -> int:
-        return len(self._submaps)
+    def __missing__(self, submap_id: int) -> Surface:
+        submap = self._submaps[submap_id]
+        self[submap_id] = Surface(
+            points=submap.points.astype(np.float64),
+            normals=submap.normals.astype(np.float64),
+            free=submap.free,
+            voxel_m=submap.voxel_m,
+            anchor=submap.anchor,
+        )
+        return self[submap_id]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
