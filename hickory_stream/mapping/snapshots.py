@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.lazy_arrays import give_up, has_given_up, made_of, read_briefly
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.mapping.entities.observed_space import as_record
+from hickory_stream.mapping.entities.observed_space import SpaceState, as_record
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-from hickory_stream.mapping.entities.submaps import LEAST_BESIDE_M, SubmapState, record_of
+from hickory_stream.mapping.entities.submaps import LEAST_BESIDE_M, SubmapState, record_of_space, shown_space
 from hickory_stream.mapping.entities.track import Track, as_object
 from hickory_stream.mapping.entities.track_table import Mark
 from hickory_stream.mapping.map_state import MapState
@@ -128,39 +128,35 @@ class Snapshots:
         if shown is None or shown[0] is not state:
             shown = self._submaps[state.id] = (state, *_record_of(state, shown))
         _, submap, gives_up = shown
-        if not gives_up and has_given_up(state.space):
+        if not gives_up and has_given_up(shown_space(state)):
             # A record whose space is compressed does not hold it either.
-            _give_up_space(submap, state)
+            _give_up_space(submap.observed_space, shown_space(state), state.outdated)
             self._submaps[state.id] = (state, submap, True)
         return submap
 
 
 def _record_of(state: SubmapState, shown: tuple[SubmapState, Submap, bool] | None) -> tuple[Submap, bool]:
     # The record of a submap, and whether its space is compressed; `shown` is the last one.
-    if shown is not None:
-        known = shown[0]
-        if known.space is state.space and known.seen is state.seen and known.outdated is state.outdated:
-            return replace(shown[1], world_from_submap=state.world_from_submap), shown[2]
-    if not has_given_up(state.space):
-        return record_of(state), False
-    space = ObservedSpace(
-        voxel_m=state.space.voxel_m,
-        free=_NO_KEYS,
-        structure=_NO_KEYS,
-        floor_z_m=(state.space if state.outdated is None else state.seen).floor_z_m,
-    )
-    submap = Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=space)
-    _give_up_space(submap, state)
-    return submap, True
+    space, outdated = shown_space(state), state.outdated
+    if shown is not None and shown_space(shown[0]) is space and shown[0].outdated is outdated:
+        _, submap, is_compressed = shown
+        is_there = submap.world_from_submap is state.world_from_submap
+        return submap if is_there else replace(submap, world_from_submap=state.world_from_submap), is_compressed
+    if is_compressed := has_given_up(space):
+        seen = ObservedSpace(voxel_m=space.voxel_m, free=_NO_KEYS, structure=_NO_KEYS, floor_z_m=space.floor_z_m)
+        _give_up_space(seen, space, outdated)
+    else:
+        seen = record_of_space(space, outdated)
+    return Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=seen), is_compressed
 
 
-def _give_up_space(submap: Submap, state: SubmapState) -> None:
+def _give_up_space(seen: ObservedSpace, space: SpaceState, outdated: NDArray[np.int64] | None) -> None:
     def array_of(name: str) -> NDArray[Any]:
-        with read_briefly(state.space, state.seen):
-            array: NDArray[Any] = getattr(record_of(state).observed_space, name)
+        with read_briefly(space):
+            array: NDArray[Any] = getattr(record_of_space(space, outdated), name)
         return array
 
-    give_up(submap.observed_space, array_of, "free", "structure")
+    give_up(seen, array_of, "free", "structure")
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:

@@ -28,7 +28,8 @@ from hickory_stream.mapping.entities.submaps import (
     first_submap,
     interrupted,
     longer,
-    record_of,
+    record_of_space,
+    shown_space,
     travelled,
     with_keyframe,
     with_registration,
@@ -126,7 +127,7 @@ def test_every_voxel_is_in_one_submap_and_none_is_lost(steps):
         else:
             place += 1.0
             submaps = travelled(submaps, camera_at(place), 0, SubmapConfig(travel_m=1.5))
-    judge, parts = as_record(submaps.space), [record_of(state).observed_space for state in submaps.states]
+    judge, parts = as_record(submaps.space), [record_of_space(shown_space(state), None) for state in submaps.states]
     for name in ("free", "structure"):
         together = np.concatenate([getattr(part, name) for part in parts])
         assert np.array_equal(np.sort(together), getattr(judge, name))

@@ -39,8 +39,8 @@ from hickory_stream.records import (
     OPEN_JUMP_M,
     OPEN_JUMP_RAD,
     Keypoints,
+    ObservedSpace,
     SpaceObservation,
-    Submap,
     SurveyedSubmap,
 )
 
@@ -416,17 +416,17 @@ def compress_unused(submaps: Submaps, keep: Keep) -> None:
                 compress(view, "descriptors", "points", keep=keep)
 
 
-def _shown_space(state: SubmapState) -> SpaceState:
+def shown_space(state: SubmapState) -> SpaceState:
+    """Return the space of a submap that the map shows, but for outdated voxels."""
     return state.space if state.outdated is None else state.seen
 
 
-def record_of(state: SubmapState) -> Submap:
-    """Return the public record of a submap."""
-    space = as_record(_shown_space(state))
-    if state.outdated is not None:
-        free, structure = difference(space.free, state.outdated), difference(space.structure, state.outdated)
-        space = replace(space, free=free, structure=structure)
-    return Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=space)
+def record_of_space(shown: SpaceState, outdated: NDArray[np.int64] | None) -> ObservedSpace:
+    """Return the public record of a space without outdated voxels."""
+    space = as_record(shown)
+    if outdated is None:
+        return space
+    return replace(space, free=difference(space.free, outdated), structure=difference(space.structure, outdated))
 
 
 def _is_same_place(a: SubmapState, b: SubmapState) -> bool:
@@ -453,7 +453,7 @@ def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
     some = []
     for state in _reaching(submaps, window):
         with read_briefly(state.space, state.seen):
-            some.append(_shown_space(state) if window is None else cut(_shown_space(state), window))
+            some.append(shown_space(state) if window is None else cut(shown_space(state), window))
     space = observed_space.joined(some or [empty_space(last.voxel_m)])
     return replace(space, floor_z_m=last.floor_z_m if window is None else submaps.space.floor_z_m)
 

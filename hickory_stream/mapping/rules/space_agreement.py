@@ -1,7 +1,7 @@
 """Agreement of the observed spaces of submaps that a correction has moved over one another: the later one wins.
 
 Free space of an earlier submap where a later one saw surface, or the other way round, is *outdated*: it stays in the
-submap, but the map does not show it (`submaps.record_of`). Decisions about tracks do not use it. It is computed when
+submap, but the map does not show it (`record_of_space`). Decisions about tracks do not use it. It is computed when
 submaps are placed, and when one ends. Later submaps of one pose, which are most, are compared as one.
 """
 

@@ -185,6 +185,17 @@ def _is_at_hand(space):
     return True
 
 
+def test_a_submap_of_which_only_a_later_one_sees_more_is_shown_by_the_same_record():
+    core = walked(is_corrected=True)
+    again = _seen(space_of(apply(TURN, ROOM), apply(TURN, WALL)))
+    drive(core, [replace(at(10 + i, 4.0 + 0.1 * i), space=again) for i in range(2)])
+    *before, _ = core.snapshot().submaps
+    owned = core.submaps[1].space
+    drive(core, [replace(at(12, 4.3), space=again)])
+    assert core.submaps[1].space is not owned
+    assert all(now is then for now, then in zip(core.snapshot().submaps[:-1], before, strict=True))
+
+
 def test_unchanged_outdated_cells_are_the_same_array():
     core = walked(is_corrected=True)
     before, shown = core.submaps[0].outdated, core.snapshot().submaps[0].observed_space
