@@ -18,6 +18,7 @@ from hickory_stream.mapping.map_state import MapState
 from hickory_stream.records import MapPrior, MapSnapshot, ObjectKind, ObservedSpace, Phase, Submap, TrackedObject
 
 _NO_KEYS = np.empty(0, dtype=np.int64)
+_NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,8 @@ class Snapshots:
         if shown is not None and shown.track is track and shown.place is place:
             return shown
         own = self._own(track)
-        return _Shown(track, own, place, _in_world(own, place))
+        before = (shown.own, shown.item) if shown is not None and shown.place is place else None
+        return _Shown(track, own, place, _in_world(own, place, before))
 
     def _submap(self, state: SubmapState) -> Submap:
         shown = self._submaps.get(state.id)
@@ -159,13 +161,17 @@ def _give_up_space(seen: ObservedSpace, space: SpaceState, outdated: NDArray[np.
     give_up(seen, array_of, "free", "structure")
 
 
-def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
+def _in_world(
+    item: TrackedObject, world_from_submap: NDArray[np.float64], before: tuple[TrackedObject, TrackedObject] | None
+) -> TrackedObject:
     if np.array_equal(world_from_submap, np.eye(4)):
         return item
 
     def moved_array(name: str) -> NDArray[Any]:
         return apply(world_from_submap, item.points_world) if name == "points_world" else item.colors
 
-    moved, known = moved_object(item, world_from_submap), made_of(item)
+    # Without its arrays, which are made when they are read.
+    bare, known = replace(item, points_world=_NO_POINTS, colors=_NO_COLORS), made_of(item)
+    moved = moved_object(bare, world_from_submap, before)
     give_up(moved, moved_array, "points_world", "colors", of=(*known, world_from_submap) if known else ())
     return moved

@@ -112,6 +112,16 @@ def test_prior_knowledge_of_perception_outlives_a_submap():
     assert MapperCore(CONFIG).prior() is None
 
 
+def test_a_thing_seen_again_in_a_moved_map_keeps_the_records_of_its_views():
+    core = walk()
+    core.handle(corrected((0, MOVE), (1, MOVE), (2, MOVE)))
+    before = core.snapshot().objects[-1]
+    drive(core, [at(9, 4.0, C)])
+    after = core.snapshot().objects[-1]
+    assert (after.id, after.sightings) == (before.id, before.sightings + 1)
+    assert {id(view) for view in before.views} & {id(view) for view in after.views}
+
+
 _KEYS = st.lists(st.integers(0, 30), max_size=12).map(lambda keys: np.unique(np.int64(keys)))
 
 
