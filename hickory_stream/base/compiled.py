@@ -110,6 +110,11 @@ class _KernelCache:
         with self._opened._guard_against_spurious_io_errors():
             return self._opened._load_overload(signature, context)
 
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Cache a kernel; on a full disk it is compiled again by the next process."""
+        with contextlib.suppress(OSError):
+            self._opened.save_overload(signature, compiled)
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._opened, name)
 

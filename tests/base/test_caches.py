@@ -61,6 +61,14 @@ def test_a_kernel_recompiles_when_its_callee_has_changed(tmp_path):
     assert not list(package.rglob("*.nb?")), "nothing is written beside the modules"
 
 
+def test_a_kernel_that_a_full_disk_cannot_keep_runs(tmp_path):
+    full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); "
+    package, kept = small_package(tmp_path / "code"), str(tmp_path / "cache")
+    assert run_python(full + RUN, folder=package, HICKORY_CACHE=kept).stdout == "5\n"
+    assert not list((tmp_path / "cache").rglob("*.nbc"))
+    assert run_python(RUN, folder=package, HICKORY_CACHE=kept).stdout == "5\n"
+
+
 def test_what_is_no_part_of_a_kernel_does_not_change_its_hash(tmp_path):
     package = small_package(tmp_path)
     before = source_hash("players.outer", package / "players/outer.py")
