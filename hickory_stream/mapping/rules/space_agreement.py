@@ -5,7 +5,8 @@ submap, but the map does not show it (`record_of_space`). Decisions about tracks
 submaps are placed, and when one ends. Later submaps of one pose, which are most, are compared as one.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -31,8 +32,7 @@ from hickory_stream.mapping.entities.submaps import Submaps
 _SLACK = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outline:
+class Outline(NamedTuple):
     """What one or more submaps of one pose saw, as sorted voxels of `structure` and runs of free voxels.
 
     Runs are the key of the first voxel, then the key after the last one, in turn: a room has a twentieth as many.
