@@ -14,7 +14,7 @@ _STRIDE = 4
 DARK, GREY = 12.0, 3.0
 # A speck is narrower than this share of the image, and so much nearer than what is around it.
 _ACROSS, _NEARER = 40, 1.2
-# Clean logs have a share of up to 0.00015 in their median frame, drops on 0.3 % of the image 0.0013 to 0.0027.
+# Clean logs have a share of up to 0.00015 in their median frame, drops on 0.3 % of the image 0.0012 to 0.0024.
 RAIN = 0.001
 
 
