@@ -72,6 +72,18 @@ def test_structure_is_made_anew_of_submaps_that_changed_alone():
     assert before[0].archetypes[0].positions.as_arrow_array() == floor.archetypes[0].positions.as_arrow_array()
 
 
+def test_an_ended_submap_is_drawn_again_once_it_rests():
+    snapshot = make_snapshot()
+    ended, last = snapshot.submaps[0], replace(snapshot.submaps[0], id=1)
+    structure = Structure()
+    structure.items(replace(snapshot, submaps=(ended, last)))
+    changed = replace(snapshot, submaps=(replace(ended, observed_space=replace(ended.observed_space)), last))
+    drawn = [[item.path for item in structure.grown(changed, None)] for _ in range(60)]
+    assert [(i, paths) for i, paths in enumerate(drawn, 1) if paths] == [
+        (20, [FLOOR]), (40, [FLOOR, f"{WALLS}/0"]), (60, [FLOOR]),
+    ]  # fmt: skip
+
+
 def test_walls_and_floor_are_there_from_the_first_keyframe_on():
     wall = [(50, y, z) for y in range(20) for z in range(6, 30)]
     keys = np.sort(keys_of_cells(np.array(wall + [(x, y, 0) for x in range(50) for y in range(20)])))
@@ -92,7 +104,7 @@ def test_walls_and_floor_are_there_from_the_first_keyframe_on():
         assert mesh.face_rendering.as_arrow_array().to_pylist() == [MeshFaceRendering.Front.value]
     assert not structure.grown(second, seen)
     few = replace(second, submaps=(replace(second.submaps[0], observed_space=replace(known, structure=keys[:-9])),))
-    assert [bool(structure.grown(few, seen)) for _ in range(20)].index(True) == 18
+    assert [bool(structure.grown(few, seen)) for _ in range(20)].index(True) == 17
 
 
 REPORT = bare_report(keyframe_index=0)
