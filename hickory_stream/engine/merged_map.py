@@ -13,11 +13,10 @@ from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_
 from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.confined import path_within
 from hickory_stream.base.former_keys import with_current_names
-from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.shape_jobs.processor import processor_kind
 from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes
 from hickory_stream.geometry.mesh import sha256_of
-from hickory_stream.map_folder.manifest import Manifest, read_json
+from hickory_stream.map_folder.manifest import Manifest
 from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import MapFolder, create_map_folder
@@ -113,14 +112,9 @@ def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: 
     for view in item.views:
         origin = max(i for i in known if merged.first_frames[i] <= view.frame_index)
         old_name = replace(view, frame_index=view.frame_index - merged.first_frames[origin]).name
-        *images, description = crop_files(inputs[origin].views, old_name)
-        for image in images:
-            new_name = f"{view.name}{image.name.removeprefix(old_name)}"
-            _copied(inputs[origin].folder, f"views/{image.name}", folder.views / new_name)
-        described = read_json(inputs[origin].views, description.name)
-        described["world_from_camera"] = view.world_from_camera.tolist()
-        with disk_errors(folder.path):
-            write_atomically(folder.views / f"{view.name}.json", dumps_exactly(described).encode(), sync=False)
+        for file in crop_files(inputs[origin].views, old_name):
+            new_name = f"{view.name}{file.name.removeprefix(old_name)}"
+            _copied(inputs[origin].folder, f"views/{file.name}", folder.views / new_name)
 
 
 def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> TrackedObject:
@@ -142,7 +136,11 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
     others = [view for view in item.views if not first or view.name != first[0].name]
     floors = [float(item.points_world[:, 2].min())] if len(item.points_world) else [None]
     inputs = ShapeInputs(
-        crops=tuple(read_crop(folder.views, view.name) for view in [*first, *others]),
+        # The files have the poses of their own maps.
+        crops=tuple(
+            replace(read_crop(folder.views, view.name), world_from_camera=view.world_from_camera)
+            for view in [*first, *others]
+        ),
         points_world=item.points_world,
         colors=item.colors,
         box=item.box,

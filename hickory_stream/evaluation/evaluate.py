@@ -26,7 +26,7 @@ from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
 from hickory_stream.map_folder.saved_map import SavedMap
-from hickory_stream.map_folder.views import read_mask
+from hickory_stream.map_folder.views import read_crop
 from hickory_stream.pictures.raycast import Scene, surface_of_mesh
 from hickory_stream.records import TrackedObject
 
@@ -282,6 +282,6 @@ def _mask_purity(saved: SavedMap, truth: Truth, views: Sequence[ViewFrame]) -> f
     shares = []
     for index, names in by_frame.items():
         instances = instances_of(truth, true_frames[index])
-        shares += [purity(read_mask(saved.views, name), boxes[name], instances) for name in names]
+        shares += [purity(read_crop(saved.views, name).mask, boxes[name], instances) for name in names]
     known = [share for share in shares if share is not None]
     return float(np.mean(known)) if known else None

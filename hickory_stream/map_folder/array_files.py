@@ -1,4 +1,4 @@
-"""Binary files of a map: points and voxel keys, encoded like the journal's arrays, compressed; no header is trusted."""
+"""Points, voxel keys and views as files, encoded like the journal's arrays and compressed; no header is trusted."""
 
 import math
 import re
@@ -36,12 +36,12 @@ def ply_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
 
 def points_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
     """Return a file of (N, 3) points with (N, 3) colours, as a frame of zstd."""
-    return _packed((points, colors))
+    return packed((points, colors))
 
 
 def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return points (N, 3) and colours (N, 3) of such a file. Raises `ValueError`: damaged."""
-    arrays = _unpacked(data)
+    arrays = unpacked(data)
     if not isinstance(arrays, tuple) or [_kind(array) for array in arrays] != ["float32, 2", "uint8, 2"]:
         raise ValueError("not a file of points")
     points, colors = arrays
@@ -52,23 +52,25 @@ def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
 
 def keys_bytes(keys: NDArray[np.int64]) -> bytes:
     """Return a file of (N,) sorted voxel keys, as a frame of zstd."""
-    return _packed(keys)
+    return packed(keys)
 
 
 def keys_array(data: bytes) -> NDArray[np.int64]:
     """Return the keys (N,) of such a file. Raises `ValueError`: damaged."""
-    keys = _unpacked(data)
+    keys = unpacked(data)
     if _kind(keys) != "int64, 1":
         raise ValueError("not a file of voxels")
     array: NDArray[np.int64] = keys
     return array
 
 
-def _packed(value: Any) -> bytes:
-    return bytes(zstandard.compress(encode(value), _LEVEL))
+def packed(value: Any) -> bytes:
+    """Return arrays and what else a journal holds as a frame of zstd with a checksum."""
+    return bytes(zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(encode(value)))
 
 
-def _unpacked(data: bytes) -> Any:
+def unpacked(data: bytes) -> Any:
+    """Return what `packed` was given. Raises `ValueError`: damaged."""
     try:
         if not 0 <= zstandard.frame_content_size(data) <= _MOST_BYTES:
             raise ValueError("not a file of this map format, or larger than one")

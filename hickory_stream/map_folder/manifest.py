@@ -11,7 +11,8 @@ from hickory_stream.base.confined import OutsideError, read_within
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import MapFolderError
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
+_READ = (3, FORMAT_VERSION)
 MANIFEST = "manifest.json"
 _KIND = "hickory-stream map"
 _ENTRIES: dict[str, Any] = {
@@ -118,7 +119,7 @@ def pretty_json(data: Any) -> bytes:
 
 
 def _check_format(folder: Path, found: object) -> None:
-    if type(found) is int and found == FORMAT_VERSION:
+    if type(found) is int and found in _READ:
         return
     is_newer = isinstance(found, int) and found > FORMAT_VERSION
     remedy = "open it with a newer hickory-stream" if is_newer else "play the log again"

@@ -1,11 +1,10 @@
-"""The pixels of a kept view as files: colour with the mask as alpha, depth in millimetres, camera and pose.
+"""The pixels of a kept view: colour, depth in millimetres, mask, camera and pose, packed like points in one file.
 
-Colour may be lossy (`run.view_colors`): the mask is then a file of its own, and the description has the checksum of
-the colour's file, since JPEG and WebP lack one. Only JPEG and WebP as OpenCV writes them are read: baseline, lossy,
-without alpha. Claimed sizes are checked before memory is taken.
+Colour may be lossy (`run.view_colors`). Only JPEG and WebP as OpenCV writes them are read: baseline, lossy, without
+alpha. Claimed sizes are checked before memory is taken.
 
-Files are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before its first reference. The
-description comes last, as the mark of a complete view.
+Files are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before its first reference. Maps of
+format 3 have images and a description instead, which are only read.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ import numpy as np
 
 from hickory_stream.base.atomic_files import disk_errors, write_atomically
 from hickory_stream.base.confined import plain_name, read_within
-from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import MOST_SIDE_PX, Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.map_folder.array_files import packed, unpacked
 from hickory_stream.ports import Crop
 
 if TYPE_CHECKING:
@@ -38,19 +37,6 @@ _JPEG_BEFORE_FRAME = {0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)}
 _JPEG_BASELINE = 0xC0
 
 
-def png_bytes(image: NDArray[Any], *, is_bilevel: bool = False) -> bytes:
-    """Return a PNG, quickly, of (H, W, 4) uint8 BGRA, (H, W) uint16 or uint8; of one bit if `is_bilevel`."""
-    import cv2
-
-    # Run lengths only: as small as level 1 on camera images and a third quicker. One filter for all rows, the one that
-    # is chosen for nearly all where each may have its own: as small and a fifth quicker.
-    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-    how += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH]
-    if is_bilevel:
-        how = [cv2.IMWRITE_PNG_BILEVEL, 1]
-    return cv2.imencode(".png", image, how)[1].tobytes()
-
-
 def lossy_bytes(bgr: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
     """Return an image (H, W, 3) uint8 BGR as `.jpg` or `.webp`; `quality` in percent."""
     import cv2
@@ -63,26 +49,16 @@ def lossy_bytes(bgr: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
     return cv2.imencode(suffix, bgr, how)[1].tobytes()
 
 
-def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int | None = None) -> NDArray[Any]:
-    """Return the stored image, (H, W) or (H, W, channels) of BGR or BGRA; `crc32` is the file's.
-
-    Raises `MapFolderError`: it is missing, damaged, another kind of image, or claims more than the size of any view.
-    """
+def _image(data: bytes, suffix: str) -> NDArray[Any]:
+    # (H, W) or (H, W, channels), RGB or RGBA. Raises ValueError or cv2.error.
     import cv2
 
-    try:
-        data = read_within(path.parent, path.name)
-        # The decoder writes of a damaged file to the terminal, or nothing at all.
-        if crc32 is not None and zlib.crc32(data) != crc32:
-            raise ValueError("it is not the file that the view's description tells of")
-        width, height = _CLAIMED_SIZE[path.suffix](data)
-        if not (1 <= width <= MOST_SIDE_PX and 1 <= height <= MOST_SIDE_PX and width * height <= _MOST_PIXELS):
-            raise ValueError(f"{width} x {height} pixels, which no view has")
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError, cv2.error) as error:
-        raise MapFolderError(f"cannot read {path}: {error}; play the log again") from error
-    if image is None or image.dtype != dtype or image.ndim != num_dimensions:
-        raise MapFolderError(f"{path} is no complete image of a view; play the log again")
+    width, height = _CLAIMED_SIZE[suffix](data)
+    if not (1 <= width <= MOST_SIDE_PX and 1 <= height <= MOST_SIDE_PX and width * height <= _MOST_PIXELS):
+        raise ValueError(f"{width} x {height} pixels, which no view has")
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError("no complete image")
     return np.asarray(image)
 
 
@@ -126,19 +102,24 @@ _CLAIMED_SIZE = {".png": _png_size, ".jpg": _jpeg_size, ".webp": _webp_size}
 
 _MAX_MM = 65535
 _LOSSY = {"jpeg": ".jpg", "webp": ".webp"}
-# WebP has 14 bits for a side; a longer one is written as PNG.
+# WebP has 14 bits for a side; a longer one is written without loss.
 _MOST_LOSSY_SIDE_PX = 16383
 
 
 def crop_files(views: Path, name: str) -> tuple[Path, ...]:
-    """Return the paths of a view's colour, depth, mask (if colour is lossy) and description in the folder `views`."""
+    """Return the path of a view in the folder `views`.
+
+    In a map of format 3: of its colour, depth, mask (if colour is lossy) and description.
+    """
     plain_name(name)
-    depth, mask, description = views / f"{name}.depth.png", views / f"{name}.mask.png", views / f"{name}.json"
-    for suffix in _LOSSY.values():
-        color = views / f"{name}.color{suffix}"
+    description = views / f"{name}.json"
+    if not description.exists():
+        return (views / f"{name}.view",)
+    files = [views / f"{name}.color.png", views / f"{name}.depth.png", description]
+    for color in (views / f"{name}.color{suffix}" for suffix in _LOSSY.values()):
         if color.exists():
-            return color, depth, mask, description
-    return views / f"{name}.color.png", depth, description
+            files = [color, files[1], views / f"{name}.mask.png", description]
+    return tuple(files)
 
 
 def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None) -> None:
@@ -146,58 +127,56 @@ def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None)
 
     Depth is rounded to millimetres; more than 65.5 m becomes "no return". Raises `MapFolderError`: the disk refused.
     """
-    description: dict[str, Any] = {
+    view: dict[str, Any] = {
         "camera": asdict(crop.camera),
-        "world_from_camera": crop.world_from_camera.tolist(),
+        "world_from_camera": crop.world_from_camera,
         "sensor": asdict(crop.sensor),
+        "depth_mm": _millimetres(crop.depth_m),
+        "mask": crop.mask,
     }
-    bgr, mask = crop.rgb[..., ::-1], crop.mask.astype(np.uint8) * np.uint8(255)
-    files = {"depth.png": png_bytes(_millimetres(crop.depth_m))}
-    if how is not None and how.view_colors in _LOSSY and max(mask.shape) <= _MOST_LOSSY_SIDE_PX:
+    if how is not None and how.view_colors in _LOSSY and max(crop.mask.shape) <= _MOST_LOSSY_SIDE_PX:
         suffix = _LOSSY[how.view_colors]
-        color = lossy_bytes(np.ascontiguousarray(bgr), suffix, how.view_quality)
-        files |= {"mask.png": png_bytes(mask, is_bilevel=True), f"color{suffix}": color}
-        description["color_crc32"] = zlib.crc32(color)
+        view[suffix] = lossy_bytes(np.ascontiguousarray(crop.rgb[..., ::-1]), suffix, how.view_quality)
     else:
-        with_mask = np.empty((*mask.shape, 4), dtype=np.uint8)
-        with_mask[..., :3], with_mask[..., 3] = bgr, mask
-        files["color.png"] = png_bytes(with_mask)
+        view["rgb"] = crop.rgb.reshape(-1, 3)
     with disk_errors(views):
-        for ending, data in files.items():
-            write_atomically(views / f"{name}.{ending}", data, sync=False)
-        write_atomically(views / f"{name}.json", dumps_exactly(description).encode(), sync=False)
+        write_atomically(views / f"{name}.view", packed(view), sync=False)
 
 
 def read_crop(views: Path, name: str) -> Crop:
-    """Return the pixels of a view, depth to the millimetre. Raises `MapFolderError`: a file is missing or damaged."""
-    color_file, depth_file, *mask_file, description_file = crop_files(views, name)
+    """Return the pixels of a view, depth to the millimetre. Raises `MapFolderError`: it is missing or damaged."""
+    import cv2
+
+    files = crop_files(views, name)
     try:
-        description = json.loads(read_within(views, description_file.name))
-        crc32 = int(description["color_crc32"]) if mask_file else None
-        color = read_image(color_file, np.dtype(np.uint8), 3, crc32)
-        depth = read_image(depth_file, np.dtype(np.uint16), 2)
-        mask = read_image(mask_file[0], np.dtype(np.uint8), 2) if mask_file else color[..., 3]
+        view = _read(views, *files)
+        depth = view["depth_mm"]
         return Crop(
-            rgb=color[..., 2::-1],
+            rgb=view["rgb"].reshape(*depth.shape, 3),
             depth_m=np.where(depth == 0, np.float32(np.nan), depth.astype(np.float32) / np.float32(1000)),
-            mask=mask > 127,
-            camera=Camera(**description["camera"]),
-            world_from_camera=description["world_from_camera"],
-            sensor=DepthSensor(**description["sensor"]),
+            mask=view["mask"],
+            camera=Camera(**view["camera"]),
+            world_from_camera=view["world_from_camera"],
+            sensor=DepthSensor(**view["sensor"]),
         )
-    except (OSError, KeyError, TypeError, ValueError, IndexError, RecursionError) as error:
-        raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error
+    except (OSError, KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, cv2.error) as error:
+        raise MapFolderError(f"cannot read {files[0]}: {error}; play the log again") from error
 
 
-def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
-    """Return the mask of a view alone. Raises `MapFolderError`: its file is missing or damaged."""
-    color_file, _, *mask_file, _ = crop_files(views, name)
-    try:
-        if mask_file:
-            return np.asarray(read_image(mask_file[0], np.dtype(np.uint8), 2) > 127)
-        return np.asarray(read_image(color_file, np.dtype(np.uint8), 3)[..., 3] > 127)
-    except (OSError, ValueError, IndexError) as error:
-        raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error
+def _read(views: Path, *files: Path) -> dict[str, Any]:
+    view: dict[str, Any]
+    if len(files) == 1:
+        view = unpacked(read_within(views, files[0].name))
+        lossy = [_image(view[suffix], suffix)[..., ::-1] for suffix in _LOSSY.values() if suffix in view]
+        return view if not lossy else {**view, "rgb": lossy[0]}
+    color, depth, *mask, description = (read_within(views, file.name) for file in files)
+    view = json.loads(description)
+    # The decoder writes of a damaged file to the terminal, or nothing at all.
+    if mask and zlib.crc32(color) != view["color_crc32"]:
+        raise ValueError("it is not the file that the view's description tells of")
+    pixels = _image(color, files[0].suffix)
+    inside = _image(mask[0], ".png") if mask else pixels[..., 3]
+    return {**view, "rgb": pixels[..., 2::-1], "depth_mm": _image(depth, ".png"), "mask": inside > 127}
 
 
 def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -390,7 +390,7 @@ def test_a_damaged_view_is_named_and_texture_0_still_exports(made, tmp_path):
     broken = tmp_path / "broken"
     shutil.copytree(made.by_one, broken)
     view = next(t for t in open_map(broken).snapshot.objects if t.shape is not None).views[0].name
-    colors = broken / "views" / f"{view}.color.png"
+    colors = broken / "views" / f"{view}.view"
     colors.write_bytes(colors.read_bytes()[:100])
     command = ("export", broken, "--format", "glb", "-o", tmp_path / "b.glb", "--texture")
     (refused,) = refusal(*command, 32).splitlines()

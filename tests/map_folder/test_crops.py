@@ -1,6 +1,5 @@
-import json
 import zlib
-from dataclasses import replace
+from dataclasses import asdict, replace
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +8,8 @@ from hickory_stream.config import RunConfig
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.map_folder.views import crop_files, read_crop, read_mask, write_crop
+from hickory_stream.map_folder.array_files import packed, unpacked
+from hickory_stream.map_folder.views import crop_files, read_crop, write_crop
 from hickory_stream.ports import Crop
 from tests.engine.snapshot_fixtures import make_crop
 
@@ -41,7 +41,6 @@ def test_depth_beyond_16_bits_is_none_and_beyond_webp_exact(tmp_path):
     width = 1 << 14
     crop = row_crop(np.ones((1, width), dtype=np.float32))
     write_crop(tmp_path, "v", crop, lossy("webp"))
-    assert crop_files(tmp_path, "v")[0].name == "v.color.png"
     assert np.array_equal(read_crop(tmp_path, "v").rgb, crop.rgb)
 
 
@@ -55,71 +54,104 @@ def shaded_crop():
     return replace(make_crop(), rgb=np.stack([np.tile(ramp, (12, 1))] * 3, axis=2))
 
 
-@pytest.mark.parametrize(("colors", "suffix"), [("jpeg", ".jpg"), ("webp", ".webp")])
-def test_lossy_colours_keep_mask_and_depth_exact(tmp_path, colors, suffix):
+def is_same(one, other, most=0):
+    """Whether two crops have the same mask, depth and camera, and colours that differ by at most so much."""
+    same = [np.array_equal(getattr(one, name), getattr(other, name)) for name in ("mask", "world_from_camera")]
+    same += [np.array_equal(one.depth_m, other.depth_m, equal_nan=True), one.camera == other.camera]
+    return all(same) and one.sensor == other.sensor and np.abs(one.rgb.astype(int) - other.rgb).max() <= most
+
+
+@pytest.mark.parametrize("colors", ["jpeg", "webp"])
+def test_lossy_colours_keep_mask_and_depth_exact(tmp_path, colors):
     crop = shaded_crop()
     write_crop(tmp_path, "exact", crop)
     write_crop(tmp_path, "v", crop, lossy(colors))
-    endings = [file.name.removeprefix("v.") for file in crop_files(tmp_path, "v")]
-    assert endings == [f"color{suffix}", "depth.png", "mask.png", "json"]
-    assert sorted(file.name for file in tmp_path.glob("v.*")) == sorted(f"v.{ending}" for ending in endings)
     exact, back = read_crop(tmp_path, "exact"), read_crop(tmp_path, "v")
-    assert np.array_equal(back.mask, exact.mask)
-    for name in ("exact", "v"):
-        assert np.array_equal(read_mask(tmp_path, name), exact.mask)
-    assert np.array_equal(back.depth_m, exact.depth_m, equal_nan=True)
-    assert np.array_equal(back.world_from_camera, exact.world_from_camera)
-    assert (back.camera, back.sensor) == (exact.camera, exact.sensor)
-    assert 0 < np.abs(back.rgb.astype(int) - crop.rgb).max() <= 8
+    assert is_same(back, exact, most=8) and not is_same(back, exact)
     red = replace(crop, rgb=np.full((12, 16, 3), (200, 60, 30), np.uint8))
     write_crop(tmp_path, "red", red, lossy(colors))
     assert np.abs(read_crop(tmp_path, "red").rgb.astype(int) - red.rgb).max() <= 6
 
 
+def write_as_before(folder, crop, suffix):
+    """Write a view as maps of format 3 have it."""
+    bgr, mask = crop.rgb[..., ::-1], crop.mask.astype(np.uint8) * np.uint8(255)
+    depth_mm = np.rint(np.nan_to_num(crop.depth_m) * 1000).astype(np.uint16)
+    told = {name: asdict(getattr(crop, name)) for name in ("camera", "sensor")}
+    told["world_from_camera"] = crop.world_from_camera.tolist()
+    files = {"depth.png": depth_mm, "color.png": np.dstack([bgr, mask])}
+    if suffix != ".png":
+        files = {"depth.png": depth_mm, "mask.png": mask, f"color{suffix}": np.ascontiguousarray(bgr)}
+    for ending, image in files.items():
+        cv2.imwrite(str(folder / f"v.{ending}"), image, [cv2.IMWRITE_WEBP_QUALITY, 95])
+    told["color_crc32"] = zlib.crc32((folder / f"v.color{suffix}").read_bytes())
+    (folder / "v.json").write_text(dumps(told), encoding="utf-8")
+    return ["json", *files]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_views_of_format_3_are_read(tmp_path, suffix):
+    crop = shaded_crop()
+    endings = write_as_before(tmp_path, crop, suffix)
+    write_crop(tmp_path, "exact", crop)
+    assert is_same(read_crop(tmp_path, "v"), read_crop(tmp_path, "exact"), most=0 if suffix == ".png" else 8)
+    assert set(crop_files(tmp_path, "v")) == {tmp_path / f"v.{ending}" for ending in endings}
+    for ending in endings:
+        (tmp_path / f"v.{ending}").write_bytes((tmp_path / f"v.{ending}").read_bytes()[:-9])
+        with pytest.raises(MapFolderError, match="play the log again"):
+            read_crop(tmp_path, "v")
+        write_as_before(tmp_path, crop, suffix)
+
+
 @pytest.mark.parametrize("colors", ["png", "jpeg", "webp"])
 @pytest.mark.parametrize("damage", ["missing", "cut", "empty", "changed"])
-def test_a_damaged_file_of_a_view_is_an_error(tmp_path, capfd, colors, damage):
-    if (colors, damage) == ("png", "changed"):
-        pytest.skip("only lossy colours and their masks have a checksum")
-    for part in range(3 if colors == "png" else 4):
-        write_crop(tmp_path, "v", shaded_crop(), RunConfig(view_colors=colors))
-        path = crop_files(tmp_path, "v")[part]
-        data = bytearray(path.read_bytes())
-        path.unlink()
-        if damage == "changed":
-            # In the middle, where a JPEG or a WebP has pixels, and the description its numbers.
-            data[len(data) // 2] ^= 0x81
-        if damage != "missing":
-            path.write_bytes({"cut": data[: len(data) // 2], "empty": b"", "changed": data}[damage])
-        with pytest.raises(MapFolderError, match="play the log again") as refused:
-            read_crop(tmp_path, "v")
-        assert "\n" not in str(refused.value)
-        assert capfd.readouterr() == ("", ""), "no decoder told of it"
-        path.unlink(missing_ok=True)
+def test_a_damaged_view_is_an_error(tmp_path, capfd, colors, damage):
+    write_crop(tmp_path, "v", shaded_crop(), RunConfig(view_colors=colors))
+    (path,) = crop_files(tmp_path, "v")
+    data = bytearray(path.read_bytes())
+    path.unlink()
+    if damage == "changed":
+        data[len(data) // 2] ^= 0x81
+    if damage != "missing":
+        path.write_bytes({"cut": data[: len(data) // 2], "empty": b"", "changed": data}[damage])
+    with pytest.raises(MapFolderError, match="play the log again") as refused:
+        read_crop(tmp_path, "v")
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", ""), "no decoder told of it"
     with pytest.raises(MapFolderError, match="cannot write"):
         write_crop(tmp_path / "absent", "v", make_crop())
 
 
-def put_color(folder, data):
-    """Exchange the colours of the view, with their checksum."""
-    color, *_, description = crop_files(folder, "v")
-    color.write_bytes(data)
-    told = json.loads(description.read_text(encoding="utf-8"))
-    description.write_text(dumps(told | {"color_crc32": zlib.crc32(data)}), encoding="utf-8")
+def change_view(folder, **changed):
+    """Exchange parts of the view; its checksum is made right."""
+    (path,) = crop_files(folder, "v")
+    path.write_bytes(packed({**unpacked(path.read_bytes()), **changed}))
 
 
 @pytest.mark.parametrize(("colors", "at"), [("jpeg", "SOF"), ("webp", "VP8")])
 def test_a_claim_of_too_many_pixels_is_refused_before_decoding(tmp_path, monkeypatch, colors, at):
     write_crop(tmp_path, "v", make_crop(), lossy(colors))
-    data = bytearray(crop_files(tmp_path, "v")[0].read_bytes())
+    suffix = {"jpeg": ".jpg", "webp": ".webp"}[colors]
+    data = bytearray(unpacked((tmp_path / "v.view").read_bytes())[suffix])
     if at == "SOF":
         frame = data.index(b"\xff\xc0")
         data[frame + 5 : frame + 9] = b"\xff\xff\xff\xff"
     else:
         data[26:30] = b"\xff\x3f\xff\x3f"
-    put_color(tmp_path, data)
+    change_view(tmp_path, **{suffix: bytes(data)})
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
     with pytest.raises(MapFolderError, match=r"pixels, which no view has; play the log again"):
+        read_crop(tmp_path, "v")
+
+
+@pytest.mark.parametrize("changed", [
+    {"camera": None}, {"mask": 7}, {"depth_mm": np.ones((3, 3), np.uint16)}, {"rgb": np.zeros((7, 3), np.uint8)},
+    {"world_from_camera": np.ones(3)}, {"sensor": {"noise": 1.0}}, {".jpg": "no bytes"},
+])  # fmt: skip
+def test_a_view_of_other_parts_is_refused(tmp_path, changed):
+    write_crop(tmp_path, "v", make_crop())
+    change_view(tmp_path, **changed)
+    with pytest.raises(MapFolderError, match="play the log again"):
         read_crop(tmp_path, "v")
 
 
@@ -131,6 +163,6 @@ def test_a_claim_of_too_many_pixels_is_refused_before_decoding(tmp_path, monkeyp
 ], ids=["progressive", "a segment of no length", "a segment beyond the end", "PNG"])  # fmt: skip
 def test_another_kind_of_image_in_the_place_of_a_jpeg_is_refused(tmp_path, data):
     write_crop(tmp_path, "v", make_crop(), lossy("jpeg"))
-    put_color(tmp_path, data)
+    change_view(tmp_path, **{".jpg": data})
     with pytest.raises(MapFolderError, match="it is no baseline JPEG; play the log again"):
         read_crop(tmp_path, "v")

@@ -89,7 +89,7 @@ def test_linked_meshes_and_views_outside_the_map_are_not_read(path, tmp_path):
 
     saved = open_map(path)
     first = saved.snapshot.objects[0]
-    for file in (saved.mesh_path(first.shape), saved.views / f"{first.views[0].name}.depth.png"):
+    for file in (saved.mesh_path(first.shape), saved.views / f"{first.views[0].name}.view"):
         file.rename(tmp_path / file.name)
         file.symlink_to(tmp_path / file.name)
     with pytest.raises(MapFolderError, match="leads out of"):
@@ -100,7 +100,7 @@ def test_linked_meshes_and_views_outside_the_map_are_not_read(path, tmp_path):
 
 def test_a_view_linked_out_of_the_map_reaches_no_worker(path, tmp_path):
     tracked = open_map(path).snapshot.objects[0]
-    view = path / f"views/{tracked.views[0].name}.color.png"
+    view = path / f"views/{tracked.views[0].name}.view"
     view.rename(tmp_path / "elsewhere.png")
     view.symlink_to(tmp_path / "elsewhere.png")
     request = RequestShape(

@@ -143,7 +143,7 @@ def test_a_file_that_was_changed_is_named(path, kind):
         shutil.copy(saved.mesh_path(other), saved.mesh_path(tracked.shape))
         named = "is not the mesh"
     elif kind == "view":
-        file = saved.views / f"{tracked.views[0].name}.depth.png"
+        file = saved.views / f"{tracked.views[0].name}.view"
         file.write_bytes(file.read_bytes()[:-20])
         named = file.name
     else:

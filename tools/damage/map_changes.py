@@ -6,8 +6,6 @@ import hashlib
 import json
 import os
 import shutil
-import struct
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -32,7 +30,7 @@ _HOSTILE: tuple[Any, ...] = (
 )
 _MESH_HEADER = 12
 _BYTES = ("flip", "zero", "cut", "insert", "empty", "huge")
-TARGETS = ("manifest", "objects", "view", "job", "points", "space", "mesh", "png", "journal", "ledger", "link", "pipe")
+TARGETS = ("manifest", "objects", "view", "job", "points", "space", "mesh", "journal", "ledger", "link", "pipe")
 
 
 def change_map(path: Path, target: str, rng: np.random.Generator) -> str:
@@ -43,7 +41,8 @@ def change_map(path: Path, target: str, rng: np.random.Generator) -> str:
         case "ledger":
             return _change_json(path, path / ("ledger.json" if rng.random() < 0.5 else "timings.json"), rng)
         case "view":
-            return _change_json(path, _one(path / "views", "*.json", rng), rng)
+            file = _one(path / "views", "*.view", rng)
+            return f"{file.name}: {_replace_compressed(file, 0, rng)}"
         case "job":
             return _change_json(path, _one(path / "failed", "*/*", rng), rng)
         case "points" | "space":
@@ -51,8 +50,6 @@ def change_map(path: Path, target: str, rng: np.random.Generator) -> str:
         case "mesh":
             file = _one(path / "shapes", "*.mesh", rng)
             return f"{file.name}: {_replace_compressed(file, _MESH_HEADER, rng)}"
-        case "png":
-            return _change_png(_one(path / "views", "*.png", rng), rng)
         case "journal":
             return _change_journal(path, rng)
         case "link":
@@ -117,21 +114,6 @@ def _replace_compressed(file: Path, header: int, rng: np.random.Generator) -> st
         changed = data[:header] + zstandard.compress(body)
     _replace(file, changed)
     return change
-
-
-def _change_png(file: Path, rng: np.random.Generator) -> str:
-    data = file.read_bytes()
-    if rng.random() < 0.5:
-        changed, change = _damaged(data, rng)
-    else:
-        # Another size or depth of the pixels, with the checksum made right.
-        header = bytearray(data[12:29])
-        width, height = (int(rng.choice([0, 1, 70_000, 2**31 - 1])) for _ in range(2))
-        header[4:12] = struct.pack(">II", width, height)
-        changed = data[:12] + bytes(header) + struct.pack(">I", zlib.crc32(header)) + data[33:]
-        change = f"claims {width} x {height}"
-    _replace(file, changed)
-    return f"{file.name}: {change}"
 
 
 def _change_journal(path: Path, rng: np.random.Generator) -> str:

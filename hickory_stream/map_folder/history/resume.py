@@ -19,6 +19,7 @@ from hickory_stream.map_folder.history.core_replay import Replay, mesh_names
 from hickory_stream.map_folder.history.recorded_config import recorded_config
 from hickory_stream.map_folder.history.registration_history import RegistrationHistory, registration_history
 from hickory_stream.map_folder.manifest import Manifest, read_manifest
+from hickory_stream.map_folder.views import crop_files
 from hickory_stream.map_folder.writer import MapFolder, reopen_map_folder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.rules.keyframes import Keyframe
@@ -171,7 +172,7 @@ def save_live(path: Path) -> str:
 def _check_views(folder: MapFolder, continued: ResumePoint) -> None:
     for tracked in continued.core.snapshot().objects:
         for view in tracked.views:
-            if not (folder.views / f"{view.name}.json").is_file():
+            if not crop_files(folder.views, view.name)[-1].is_file():
                 raise MapFolderError(
                     f"{folder.path} lacks views/{view.name}, which {JOURNAL} tells of: the power failed before it "
                     "reached the disk; play the log again"

@@ -111,7 +111,7 @@ def test_open_shapes_are_committed_again_when_due(tmp_path, undisturbed_run):
     assert map_digest(replay(run.folder.path)) == run.digest
     for item in saved.snapshot.objects:
         assert len(saved.mesh(item.shape).vertices) > 0
-        assert all((saved.views / f"{view.name}.json").is_file() for view in item.views)
+        assert all((saved.views / f"{view.name}.view").is_file() for view in item.views)
 
 
 def test_a_stopped_run_with_seeks_is_saved_and_not_resumed(tmp_path):
@@ -160,8 +160,8 @@ def test_lost_pixels_are_known_as_lost_and_others_are_kept(tmp_path):
     folder.drop_view(second)
     assert folder.keep_views([first, "000099-000"]) == {"000099-000"}
     folder.save(replace(snapshot, objects=()))
-    assert (folder.views / f"{first}.json").exists()
-    assert not (folder.views / f"{second}.json").exists()
+    assert (folder.views / f"{first}.view").exists()
+    assert not (folder.views / f"{second}.view").exists()
 
 
 def test_a_person_goes_back_by_the_playback_clock(tmp_path):

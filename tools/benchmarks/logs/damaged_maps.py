@@ -155,7 +155,7 @@ def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> lis
             return jobs
         case "journal":
             return [*history, *checks, *resumes]
-        case "view" | "png":
+        case "view":
             return [*checks, *jobs]
         case "mesh":
             return [*looks, *checks, exports[4]]
