@@ -82,7 +82,8 @@ def write_chunk(file: BinaryIO, messages: list[FileMessage], number: int) -> Non
         length = _MESSAGE_BYTES + len(data)
         parts += (_MESSAGE.pack(Opcode.MESSAGE, length, channel, number, stamp_ns, stamp_ns), data)
     records = b"".join(parts)
-    packed = zstandard.compress(records)
+    # Higher levels save 1 % of bytes for 1.4 times the time.
+    packed = zstandard.compress(records, 1)
     stamps_ns = [message.stamp_ns for message in messages]
     head = _CHUNK.pack(min(stamps_ns), max(stamps_ns), len(records), zlib.crc32(records))
     head += _SIZE[0].pack(len(_COMPRESSION)) + _COMPRESSION + _SIZE[1].pack(len(packed))

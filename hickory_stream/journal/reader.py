@@ -138,7 +138,7 @@ class JournalChunks:
 
 def packed_array(encoded: bytes) -> bytes:
     """Return an encoded array for a chunk of arrays."""
-    return zstandard.compress(encoded)
+    return zstandard.compress(encoded, 1)
 
 
 def unpacked_array(data: bytes | memoryview) -> bytes:

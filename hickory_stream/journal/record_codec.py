@@ -4,8 +4,8 @@ A record is a map of its fields under a tag with its name. Only records of our o
 constructors, and only if every field holds its declared type (`field_types`): the bytes are not trusted.
 
 Arrays are stored for compression: voxel keys as blocks of bits or differences, colours as differences from the ones
-before and from green, points at multiples of a step as differences, mean colours as sums with counts, depth as
-differences from neighbours, other numbers byte by byte.
+before and from green, points at multiples of a step as differences, depth as differences from neighbours, other
+numbers byte by byte.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ import cbor2
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.codecs.color_code import packed_means, unpacked_means
+from hickory_stream.geometry.codecs.color_code import unpacked_means
 from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
 from hickory_stream.geometry.codecs.packing import array_of, color_planes, colors_of, planes_of
 from hickory_stream.geometry.codecs.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
@@ -197,8 +197,6 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
         data = little.tobytes()
     elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_points(little)) is not None:
         method, data = _STEPS, packed
-    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_means(little)) is not None:
-        method, data = _MEANS, packed
     elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
         heads, words = blocks_of(little)
         method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)

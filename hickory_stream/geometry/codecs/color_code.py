@@ -1,41 +1,21 @@
-"""Colours as bytes that compress: means of whole colours, and colours of voxels by their neighbours in space.
-
-A mean in float32 looks like noise in its lower bytes. As a sum over a number, with the last bits in which the order of
-adding shows, it takes a third less and returns to the bit. Neighbours in space take a ninth less than those in keys.
-"""
+"""Colours of voxels as bytes that compress, by their neighbours in space: a ninth less than by those in keys."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import read_only
-from hickory_stream.geometry.codecs.packing import color_planes, colors_of
+from hickory_stream.geometry.codecs.packing import colors_of
 from hickory_stream.geometry.voxels import keys_of_cells
 
-_MOST_HITS, _MOST_OFF = 255, 7
-# Rows that are no means are stored unchanged; an array of mostly such rows is no array of means.
-_ROW_BYTES, _MEAN_BYTES, _SAMPLED = 12, 10, 64
-
-
-def packed_means(colors: NDArray[np.float32]) -> bytes | None:
-    """Return the bytes of (N, 3) mean colours; None where most are no means of at most 255 whole ones."""
-    for rows in (colors[:: max(1, len(colors) // _SAMPLED)], colors):
-        hits, sums = np.zeros(len(rows), dtype=np.uint8), np.zeros((len(rows), 3), dtype=np.int32)
-        off = np.zeros((3, len(rows)), dtype=np.uint8)
-        # By their bits, so that what is no number is none.
-        values = read_only(rows)
-        _split(values, values.view(np.int32), hits, sums, off)
-        if 2 * np.count_nonzero(hits) < len(rows):
-            return None
-    counts = np.maximum(hits, 1)[:, None].astype(np.int32)
-    whole, rest = np.divmod(sums, counts)
-    parts = (hits, np.ascontiguousarray(rest.T.astype(np.uint8)), off)
-    kept = np.ascontiguousarray(colors[hits == 0], dtype="<f4")
-    return b"".join((color_planes(whole.astype(np.uint8)), *(part.tobytes() for part in parts), kept.tobytes()))
+_ROW_BYTES, _MEAN_BYTES = 12, 10
 
 
 def unpacked_means(data: bytes, count: int) -> NDArray[np.float32]:
-    """Return the (N, 3) colours of `packed_means`; raises ValueError where there are not as many."""
+    """Return (N, 3) mean colours of journals until 2026-11; raises ValueError where there are not as many.
+
+    Each is a sum over a number, and the last bits in which the order of adding shows; others are stored as they are.
+    """
     if len(data) < _MEAN_BYTES * count:
         raise ValueError(f"{count} mean colours in {len(data)} bytes")
     numbers = np.frombuffer(data, np.uint8, _MEAN_BYTES * count)
@@ -50,37 +30,6 @@ def unpacked_means(data: bytes, count: int) -> NDArray[np.float32]:
     means = (means.view(np.int32) + ((off >> 1) ^ -(off & 1))).view(np.float32)
     means[is_kept] = np.frombuffer(data, "<f4", offset=_MEAN_BYTES * count).reshape(-1, 3)
     return means
-
-
-@kernel
-def _split(colors, bits, hits, sums, off):
-    # `hits`: the number of colours that each is a mean of, 0 for none. The number of the neighbour before is tried
-    # first.
-    last = 1
-    for i in range(len(colors)):
-        for attempt in range(_MOST_HITS + 1):
-            count = last if attempt == 0 else attempt
-            fits = True
-            for k in range(3):
-                color = np.float64(colors[i, k])
-                if not 0 <= color < 256:
-                    fits = False
-                    break
-                total = np.int64(np.rint(color * count))
-                difference = np.int64(bits[i, k]) - np.int64(np.float32(total / count).view(np.int32))
-                if not -_MOST_OFF <= difference <= _MOST_OFF or total >= 256 * count:
-                    fits = False
-                    break
-                sums[i, k] = total
-                off[k, i] = 2 * difference if difference >= 0 else -2 * difference - 1
-            if fits:
-                hits[i] = last = count
-                break
-            if not 0 <= colors[i, 0] < 256:
-                break
-        if hits[i] == 0:
-            for k in range(3):
-                sums[i, k], off[k, i] = 0, 0
 
 
 _STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_cells(np.zeros((3, 3))))
