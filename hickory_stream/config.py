@@ -45,7 +45,7 @@ class RunConfig(Ranged):
     job_memory_mb: float = number(4000.0, 1, 1e7, "MB")
     #: A kept view shows this share of its box more on every side.
     crop_margin: float = number(0.08, 0, 10, "share")
-    #: Format of the colours of kept views; their masks and depths are exact.
+    #: Colours of kept views: exact (`png`), or lossy; their masks and depths are exact.
     view_colors: Literal["png", "jpeg", "webp"] = "png"
     #: Quality of lossy colours.
     view_quality: int = number(90, 1, 100, "percent")
@@ -64,7 +64,7 @@ class JournalConfig(Ranged):
     #: Maximum time between writes: a lost power supply costs at most the events of so many seconds.
     flush_s: float = number(2.0, 0, 86400, "s")
     #: Keyframes between saved states of the core: fewer make looking back quicker, and the journal larger.
-    checkpoint_keyframes: int = number(40, 1, 1_000_000_000, "keyframes")
+    checkpoint_keyframes: int = number(80, 1, 1_000_000_000, "keyframes")
     #: Whether the images of keyframes are kept, for `replay --rrd`.
     keep_images: bool = True
 
