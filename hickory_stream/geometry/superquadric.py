@@ -19,8 +19,8 @@ from itertools import permutations, product
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import beta
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze, freeze_all
@@ -99,7 +99,7 @@ def volumes_m3(primitives: Superquadrics) -> NDArray[np.float64]:
 def unit_volumes(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (N,) volumes of primitives with these exponents (N, 2) and semi-axes of 1."""
     e1, e2 = exponents[:, 0], exponents[:, 1]
-    return np.asarray(2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2))
+    return np.asarray(2 * e1 * e2 * scipy.special.beta(e1 / 2 + 1, e1) * scipy.special.beta(e2 / 2, e2 / 2))
 
 
 def centroid_world(primitives: Superquadrics) -> NDArray[np.float64]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import solve_in_place
@@ -55,14 +55,14 @@ class Surface:
     anchor: NDArray[np.float64]
 
     @cached_property
-    def sides(self) -> cKDTree:
+    def sides(self) -> "scipy.spatial.cKDTree":
         """The points with their normals, for a joint search; made on first use."""
-        return cKDTree(_with_normals(self.points, self.normals))
+        return scipy.spatial.cKDTree(_with_normals(self.points, self.normals))
 
     @cached_property
-    def places(self) -> cKDTree:
+    def places(self) -> "scipy.spatial.cKDTree":
         """The points alone."""
-        return cKDTree(self.points)
+        return scipy.spatial.cKDTree(self.points)
 
 
 class Surfaces(dict[int, Surface]):

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
@@ -113,7 +113,7 @@ def without_classes(
     is_excluded = np.zeros(count + 1, dtype=bool)
     is_excluded[sorted(excluded.dynamic)] = True
     totals = np.bincount(semantics.classes.ravel() + 1, minlength=count + 1)[1:]
-    for i, place in enumerate(find_objects(segmentation.instances)):
+    for i, place in enumerate(scipy.ndimage.find_objects(segmentation.instances)):
         if place is None:
             continue
         mask = segmentation.instances[place] == i + 1

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, assert_never
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, on_steps
@@ -125,7 +125,7 @@ def _usable(reconstruction: Reconstruction) -> Reconstruction:
 def seen_shares(primitives: Superquadrics, reconstruction: Reconstruction) -> NDArray[np.float64]:
     """Return (N,) the share of each primitive's surface, in the world, whose nearest vertex of the mesh was seen."""
     mesh = reconstruction.mesh
-    tree = cKDTree(apply(reconstruction.world_from_object, mesh.vertices.astype(np.float64)))
+    tree = scipy.spatial.cKDTree(apply(reconstruction.world_from_object, mesh.vertices.astype(np.float64)))
     shares = np.empty(len(primitives))
     for i in range(len(primitives)):
         _, nearest = tree.query(surface_points(primitives, i, _SURFACE_POINTS))

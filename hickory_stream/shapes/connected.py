@@ -1,8 +1,8 @@
 """Connected pieces: of cells that touch by a face, and of triangles that share a vertex."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.disjoint_sets import root_of
@@ -11,14 +11,14 @@ from hickory_stream.geometry.disjoint_sets import root_of
 def pieces_of(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64], list[tuple[slice, ...]]]:
     """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells."""
     # int32 labels, 0 for other cells; (N,) sizes and bounds.
-    labels, count = ndimage.label(cells)
+    labels, count = scipy.ndimage.label(cells)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    return labels, sizes, ndimage.find_objects(labels) if count else []
+    return labels, sizes, scipy.ndimage.find_objects(labels) if count else []
 
 
 def piece_around(cells: NDArray[np.bool_], i: int, j: int, k: int) -> NDArray[np.bool_]:
     """Return whether each of (nx, ny, nz) cells is in the piece of a set one."""
-    labels, _ = ndimage.label(cells)
+    labels, _ = scipy.ndimage.label(cells)
     return np.asarray(labels == labels[i, j, k])
 
 

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import compose, invert, rotation_of_vector, rotation_vector
@@ -322,7 +321,7 @@ class _Track:
     def __init__(self, stamps_ns: NDArray[np.int64], poses: Matrix) -> None:
         self.stamps_ns, self.poses, self._motions = stamps_ns, poses, dict[bytes, _Motions]()
         self._times = (stamps_ns - stamps_ns[0]).astype(np.float64)
-        self._turns = Slerp(self._times, Rotation.from_matrix(poses[:, :3, :3]))
+        self._turns = _vectors_of(poses[:-1, :3, :3].swapaxes(-1, -2) @ poses[1:, :3, :3])
 
     def motions(self, ends_ns: NDArray[np.int64], lags_ns: NDArray[Any]) -> _Motions:
         # Turns and shifts (L, N, 3) between ends (2, N) by the poses of the lags later, and which of them are known.
@@ -336,12 +335,27 @@ class _Track:
         known = (times >= 0) & (times <= self._times[-1])
         after = np.clip(np.searchsorted(self._times, times), 1, len(self._times) - 1)
         known &= self._times[after] - self._times[after - 1] <= _LOST_NS
-        times = np.clip(times, 0, self._times[-1])
-        world_from_start, world_from_end = (self._turns(t.ravel()) for t in times)
-        start, end = (np.stack([np.interp(t, self._times, self.poses[:, i, 3]) for i in range(3)], -1) for t in times)
-        back, shape = world_from_start.inv(), start.shape
-        turns = (back * world_from_end).as_rotvec().reshape(shape)
-        return turns, back.apply((end - start).reshape(-1, 3)).reshape(shape), known.all(axis=0)
+        share = (np.clip(times, 0, self._times[-1]) - self._times[after - 1]) / np.diff(self._times)[after - 1]
+        share, before = share[..., None], self.poses[after - 1]
+        start, end = before[..., :3, :3] @ _rotations_of(share * self._turns[after - 1])
+        first, last = before[..., :3, 3] + share * (self.poses[after, :3, 3] - before[..., :3, 3])
+        back = start.swapaxes(-1, -2)
+        return _vectors_of(back @ end), (back @ (last - first)[..., None])[..., 0], known.all(axis=0)
+
+
+def _vectors_of(rotations: Matrix) -> Matrix:
+    # The rotation vectors (..., 3) of rotations (..., 3, 3).
+    skew = (rotations - rotations.swapaxes(-1, -2))[..., (2, 0, 1), (1, 2, 0)]
+    sine = np.linalg.norm(skew, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, np.trace(rotations, axis1=-2, axis2=-1)[..., None] - 1)
+    return np.asarray(skew * angle / np.maximum(sine, 1e-12))
+
+
+def _rotations_of(vectors: Matrix) -> Matrix:
+    # Rodrigues' formula.
+    cross = np.cross(np.eye(3), vectors[..., None, :])
+    half = np.linalg.norm(vectors, axis=-1)[..., None, None] / (2 * np.pi)
+    return np.asarray(np.eye(3) + np.sinc(2 * half) * cross + 0.5 * np.sinc(half) ** 2 * (cross @ cross))
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,7 +411,7 @@ def _scale_of(seen: _Seen, track: _Track, fit: _Fit) -> tuple[float | None, floa
         return None, None
     # Where the poses are those of a place l beside the camera, seen = scale (shift + (turn - 1) l): linear in scale and
     # in scale l, which few robots state. The noise is that of what was seen.
-    turned, shifts = Rotation.from_rotvec(turns[chosen]).as_matrix() - np.eye(3), shifts[chosen]
+    turned, shifts = _rotations_of(turns[chosen]) - np.eye(3), shifts[chosen]
     shown, moved_m = seen.shifts[chosen] @ fit.axes.T, moved_m[chosen]
     rows = np.concatenate([shifts[:, :, None], turned], axis=2)
     scale, weights = float(np.median((shown * shifts).sum(axis=1) / moved_m**2)), np.ones(len(shown))

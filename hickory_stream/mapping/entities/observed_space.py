@@ -6,8 +6,8 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import check_array, read_only
@@ -345,7 +345,8 @@ def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float
     centers = _structure_around(state, box, reach_m)
     if len(centers) == 0:
         return False
-    distances_m, _ = cKDTree(centers).query(points[:: max(1, len(points) // 400)], distance_upper_bound=reach_m)
+    tree, sample = scipy.spatial.cKDTree(centers), points[:: max(1, len(points) // 400)]
+    distances_m, _ = tree.query(sample, distance_upper_bound=reach_m)
     return float(np.isfinite(distances_m).mean()) > 0.1
 
 

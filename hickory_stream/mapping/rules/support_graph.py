@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import SpaceState, sees_structure
@@ -58,7 +58,7 @@ def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body
     if not _is_free_below(foot, points, space) or sees_structure(space, body.box, points, _NEAR_WALL_M):
         return None
     near = [other for other in others if other.id != body.id and _meet(body, other, MEET_M)]
-    clouds = [cKDTree(other.solid.points) for other in near]
+    clouds = [scipy.spatial.cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
         distances_m, _ = cloud.query(foot, distance_upper_bound=SLACK_M)
         if float(np.isfinite(distances_m).mean()) >= _SUPPORT_SHARE:

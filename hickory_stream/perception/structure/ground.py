@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
@@ -142,27 +140,27 @@ def _lowest(points, sigma, known, eye, low, size_x, size_y, cell_m):
     return out[0], out[1], out[2]
 
 
-def _regions(z: NDArray[np.float32], slack: NDArray[np.float32], rise: np.float32) -> NDArray[np.int32]:
+@kernel
+def _regions(z, slack, rise):
     # (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit.
-    index, ends = np.arange(z.size).reshape(z.shape), []
-    diagonal = np.float32(1.4142) * rise
-    for limit, here, there in (
-        (rise, np.s_[:, :-1], np.s_[:, 1:]),
-        (rise, np.s_[:-1], np.s_[1:]),
-        (diagonal, np.s_[:-1, :-1], np.s_[1:, 1:]),
-        (diagonal, np.s_[:-1, 1:], np.s_[1:, :-1]),
-    ):
-        joins = np.abs(z[here] - z[there]) <= limit + np.minimum(slack[here], slack[there])
-        ends.append((index[here][joins], index[there][joins]))
-    one, other = np.concatenate(ends, axis=1)
-    graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(z.size, z.size))
-    names = connected_components(graph, directed=False)[1]
-    # Numbered by their first cells.
-    has = np.flatnonzero(~np.isnan(z.ravel()))
-    _, first, inverse = np.unique(names[has], return_index=True, return_inverse=True)
-    out = np.zeros(z.size, dtype=np.int32)
-    out[has] = (np.argsort(np.argsort(first, kind="stable"), kind="stable") + 1)[inverse]
-    return out.reshape(z.shape)
+    size_x, size_y = z.shape
+    regions, waiting, count = np.zeros((size_x, size_y), np.int32), np.empty((z.size, 2), np.int64), 0
+    for first in range(z.size):
+        x, y = first // size_y, first % size_y
+        if regions[x, y] or np.isnan(z[x, y]):
+            continue
+        count += 1
+        regions[x, y], waiting[0, 0], waiting[0, 1], num_waiting = count, x, y, 1
+        while num_waiting:
+            num_waiting -= 1
+            x, y = waiting[num_waiting]
+            for i in range(max(x - 1, 0), min(x + 2, size_x)):
+                for j in range(max(y - 1, 0), min(y + 2, size_y)):
+                    limit = rise if i == x or j == y else np.float32(1.4142) * rise
+                    if not regions[i, j] and abs(z[x, y] - z[i, j]) <= limit + min(slack[x, y], slack[i, j]):
+                        regions[i, j], waiting[num_waiting, 0], waiting[num_waiting, 1] = count, i, j
+                        num_waiting += 1
+    return regions
 
 
 def _is_ground(

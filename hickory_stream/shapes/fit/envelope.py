@@ -5,8 +5,8 @@ and most of the 26 ways do. The hole of a ring has only the ways in its plane; a
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.shapes.sdf import DistanceGrid
 
@@ -30,8 +30,8 @@ def filled(grid: DistanceGrid) -> DistanceGrid | None:
     # A wall that lies between the cells counts as one cell thick.
     if is_filled.sum() < _HOLLOW * (is_inside | (cells <= 0.5)).sum():
         return None
-    depth = ndimage.distance_transform_edt(is_filled) - 0.5
-    away = np.minimum(ndimage.distance_transform_edt(~is_filled) - 0.5, np.where(is_filled, np.inf, cells))
+    depth = scipy.ndimage.distance_transform_edt(is_filled) - 0.5
+    away = np.minimum(scipy.ndimage.distance_transform_edt(~is_filled) - 0.5, np.where(is_filled, np.inf, cells))
     values = np.where(is_filled, -depth, away) * grid.step_m
     return DistanceGrid(
         values=np.clip(values, -grid.band_m, grid.band_m).astype(np.float32),

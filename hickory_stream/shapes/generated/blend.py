@@ -7,8 +7,8 @@ both meet without a step; space that was seen to be free is cut away. The result
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -53,7 +53,7 @@ def blended(placed: Reconstruction, inputs: ShapeInputs, volume: VolumeConfig) -
 def _with_silhouette(view: DepthView) -> DepthView:
     # Pixels beside the mask without depth look far. For a generated surface; the fused shape takes them for no
     # evidence.
-    near = ndimage.binary_dilation(view.mask, iterations=_EDGE_PX)
+    near = scipy.ndimage.binary_dilation(view.mask, iterations=_EDGE_PX)
     return replace(view, depth_m=np.where(~near & np.isnan(view.depth_m), np.float32(_FAR_M), view.depth_m))
 
 
@@ -82,7 +82,7 @@ def _joined(generated: NDArray[np.float32], evidence: Evidence) -> NDArray[np.fl
     field = generated
     if measured.any():
         miss = np.where(measured, generated - evidence.distance, np.float32(0))
-        away, nearest = ndimage.distance_transform_edt(~measured, return_indices=True)
+        away, nearest = scipy.ndimage.distance_transform_edt(~measured, return_indices=True)
         fade = np.maximum(1.0 - away / _REACH_VOXELS, 0.0)
         carried = (miss[tuple(nearest)] * fade).astype(np.float32)
         smooth = gaussian_blurred(carried, _SEAM_VOXELS, mode="nearest")

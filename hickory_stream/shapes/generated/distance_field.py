@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 
@@ -61,7 +61,7 @@ def distance_field(vertices: NDArray[Any], faces: NDArray[np.int32], cells: int)
     counts = np.bincount(flat, minlength=int(np.prod(shape)))
     sums = np.stack([np.bincount(flat, weights=samples[:, i], minlength=len(counts)) for i in range(3)], axis=1)
     means = sums / np.maximum(counts, 1)[:, None]
-    near = ndimage.distance_transform_edt(counts.reshape(shape) == 0, return_distances=False, return_indices=True)
+    near = scipy.ndimage.distance_transform_edt(counts.reshape(shape) == 0, return_distances=False, return_indices=True)
     nearest = np.ravel_multi_index(tuple(near), shape)
     places = [origin[i] + cell * np.arange(shape[i]) for i in range(3)]
     squares = np.zeros(shape)

@@ -9,8 +9,8 @@ yet corrected, lies there or not. The embedded shape made from those first views
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
@@ -256,7 +256,7 @@ def newly_seen(
     size_m = float(np.sqrt(np.square(np.ptp(np.concatenate([shown, asked]), axis=0)).sum()))
     cell_m = _CELL * size_m
     shown, asked = _cells(shown, cell_m), _cells(asked, cell_m)
-    new = asked[cKDTree(shown).query(asked)[0] > _NEW * size_m]
+    new = asked[scipy.spatial.cKDTree(shown).query(asked)[0] > _NEW * size_m]
     return (shown, new, size_m) if len(new) >= _LEAST_CELLS else None
 
 
@@ -266,4 +266,4 @@ def _cells(points: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
 
 def _share_at(shape: Reconstruction, points: NDArray[np.float64], reach_m: float) -> float:
     samples, _ = even_samples(shape.mesh.vertices, shape.mesh.faces, _SAMPLES)
-    return float((cKDTree(apply(shape.world_from_object, samples)).query(points)[0] <= reach_m).mean())
+    return float((scipy.spatial.cKDTree(apply(shape.world_from_object, samples)).query(points)[0] <= reach_m).mean())

@@ -6,8 +6,8 @@ Images have a stride that leaves a few thousand pixels a view: a placement reads
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.camera import backproject
@@ -84,7 +84,7 @@ def evidence_of(inputs: ShapeInputs) -> Evidence | None:
 
 def surface_of(crop: Crop) -> NDArray[np.float64]:
     """Return the (N, 3) points in the world that a view measured of its object, without those at its edge."""
-    return _measured(crop, crop.mask & ~ndimage.binary_dilation(~crop.mask, iterations=2))
+    return _measured(crop, crop.mask & ~scipy.ndimage.binary_dilation(~crop.mask, iterations=2))
 
 
 def shown_surface_of(crop: Crop) -> NDArray[np.float64]:
@@ -114,7 +114,7 @@ def _strided(crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32], tupl
     stride = -(-max(crop.mask.shape) // _SIDE_PX)
     mask = crop.mask[::stride, ::stride]
     if mask.any():
-        beside = np.maximum(ndimage.distance_transform_edt(~mask) - _SLACK_PX, 0.0).astype(np.float32)
+        beside = np.maximum(scipy.ndimage.distance_transform_edt(~mask) - _SLACK_PX, 0.0).astype(np.float32)
     else:
         beside = np.zeros(mask.shape, np.float32)
     camera = crop.camera

@@ -5,8 +5,8 @@ continue to their own edges, and a plate is as thick as its edge. A front alone 
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.shapes.reconstruct.tsdf import Evidence, gaussian_blurred
@@ -54,7 +54,7 @@ def solid_of(
         # A column under an outlier voxel must not become a spike on the floor.
         below = np.where(_is_open(first[:2]), FREE, states)
         solid = _without_hair(_down_to_support(solid, below, support_index, max_gap), states)
-    return large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), _MIN_PIECE_SHARE)
+    return large_pieces(np.asarray(scipy.ndimage.binary_fill_holes(solid)), _MIN_PIECE_SHARE)
 
 
 def _first_known(states: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -84,7 +84,7 @@ def _is_open(first: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
     # Completed voxels that a majority filter would not keep; observed voxels stay.
-    share = ndimage.uniform_filter(solid.astype(np.float32), 3, mode="constant")
+    share = scipy.ndimage.uniform_filter(solid.astype(np.float32), 3, mode="constant")
     return np.asarray((states == SOLID) | ((states == UNKNOWN) & (share > 0.5)))
 
 
@@ -102,7 +102,7 @@ def _down_to_support(
 
 def large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
     """Return the solid without pieces below a share of the largest."""
-    labels, count = ndimage.label(solid)
+    labels, count = scipy.ndimage.label(solid)
     if count < 2:
         return solid
     sizes = np.bincount(labels.ravel())

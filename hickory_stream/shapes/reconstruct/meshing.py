@@ -7,8 +7,8 @@ transform looks at all cells.
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -138,12 +138,12 @@ def painted(
     colors = total / np.maximum(weight, 1e-12)[:, None]
     unseen = np.flatnonzero(~is_seen)
     if len(points_world) and len(unseen):
-        near, which = cKDTree(points_world).query(vertices[unseen], distance_upper_bound=reach_m)
+        near, which = scipy.spatial.cKDTree(points_world).query(vertices[unseen], distance_upper_bound=reach_m)
         is_found = np.isfinite(near)
         colors[unseen[is_found]] = point_colors[which[is_found]]
         is_seen[unseen[is_found]] = True
     if is_seen.any() and not is_seen.all():
-        _, nearest = cKDTree(vertices[is_seen]).query(vertices[~is_seen])
+        _, nearest = scipy.spatial.cKDTree(vertices[is_seen]).query(vertices[~is_seen])
         colors[~is_seen] = colors[is_seen][nearest]
     elif not is_seen.any():
         colors[:] = _GREY

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
@@ -26,7 +26,7 @@ def gaussian_blurred(
     radius = int(4 * sigma_voxels + 0.5)
     weights = portable.gaussian_weights(sigma_voxels, radius)
     for axis in range(values.ndim):
-        values = ndimage.correlate1d(values, weights, axis=axis, mode=mode)
+        values = scipy.ndimage.correlate1d(values, weights, axis=axis, mode=mode)
     return values
 
 
