@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numba
 import numpy as np
 from llvmlite import binding
-from numba.core import event
+from numba.core import environment, event
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime import rtsys
@@ -145,6 +145,15 @@ class _LoadedLibrary(JITCodeLibrary):  # type: ignore[misc] # numba has no types
         return self._codegen._engine.get_function_address(name)
 
 
+def _environment(module: str, constants: list[Any], name: str) -> environment.Environment:
+    # That of a cached kernel: no module is imported for the globals, which machine code does not use.
+    found = environment.lookup_environment(name)
+    if found is None:
+        found = environment.Environment._memo[name] = environment.Environment({"__name__": module})
+        found.consts[:], found.env_name = constants, name
+    return found
+
+
 @cache
 def kernels_folder() -> Path:
     """Return the folder of the kernels of this compiler."""
@@ -221,4 +230,5 @@ if not numba.config.CACHE_LOCATOR_CLASSES:
         "hickory_stream.base.compiled.KernelLocator,UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,"
         "IPythonCacheLocator,ZipCacheLocator"
     )
+environment._rebuild_env = _environment
 event.register("numba:compile", _Compiles())
