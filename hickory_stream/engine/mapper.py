@@ -33,6 +33,7 @@ from hickory_stream.map_folder.history.resume import ResumePoint, reopen
 from hickory_stream.map_folder.writer import MapFolder, create_map_folder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_extractor, make_segmenter
+from hickory_stream.perception.surface import lab_of
 from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source, continue_from, poses_by
 from hickory_stream.records import MapSnapshot
 
@@ -145,6 +146,8 @@ class Mapper:
         self.config = config or MapperConfig()
         self._out = Path(out) if out is not None else None
         self._overwrite = overwrite
+        # OpenCV makes its tables for Lab at the first use, in a tenth of a second, for which no keyframe shall wait.
+        lab_of(np.zeros((1, 1, 3), np.uint8))
         self._segmenter = segmenter or make_segmenter(self.config.perception)
         self._extractor = extractor or make_extractor(self.config.perception)
         self._is_own = segmenter is None and extractor is None
