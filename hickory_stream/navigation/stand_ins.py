@@ -299,7 +299,8 @@ def _of_no_object(
         is_free &= ~contains(own, keys)
         for i, (low, high) in enumerate(obstacle.bounds):
             near = np.flatnonzero(is_free & ((centers > low) & (centers < high)).all(axis=1))
-            is_free[near] &= implicit_value(obstacle.body, i, centers[near]) > 1.0
+            if len(near):
+                is_free[near] &= implicit_value(obstacle.body, i, centers[near]) > 1.0
     return keys[is_free]
 
 
