@@ -70,7 +70,13 @@ def test_a_bag_that_was_cut_off_is_played_as_far_as_it_goes(tmp_path, share):
             open_source(bag)
 
 
-def test_importing_the_players_loads_no_special_parts():
-    heavy = "{'rosbags', 'mcap', 'cv2'} & set(sys.modules)"
-    code = f"import sys, players; sys.exit(str({heavy}) if {heavy} else 0)"
+@pytest.mark.parametrize(
+    ("parts", "heavy"),
+    [
+        ("players", "rosbags mcap cv2"),
+        ("hickory_stream.engine.mapper, players.doctor.motion_mends", "scipy.spatial scipy.ndimage scipy.special"),
+    ],
+)
+def test_importing_loads_no_special_parts(parts, heavy):
+    code = f"import sys, {parts}; sys.exit(str(found) if (found := set('{heavy}'.split()) & set(sys.modules)) else 0)"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=15)
