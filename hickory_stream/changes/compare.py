@@ -15,14 +15,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from hickory_stream.changes.evidence import (
-    SeenPlaces,
-    clear_points,
-    compared_objects,
-    evidence_at,
-    seen_places,
-    thinned,
-)
+from hickory_stream.alignment.contradiction import thinned
+from hickory_stream.changes.evidence import SeenPlaces, clear_points, compared_objects, evidence_at, seen_places
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict
 from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.geometry.rigid import apply, invert

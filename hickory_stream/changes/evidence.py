@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from hickory_stream.alignment.contradiction import thinned
 from hickory_stream.changes.records import Evidence
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import are_near, bounds_of_keys, contains, keys_of_cells
@@ -86,13 +87,6 @@ def evidence_at(other: SeenPlaces, points: NDArray[np.float64], near_m: float) -
 def not_in_free_space(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (N, 3) points at which a map saw no free space; even an object's own voxels may be free."""
     return points[~_in_free_space(places, points)]
-
-
-def thinned(points: NDArray[np.float32], most: int) -> NDArray[np.float32]:
-    """Return at most `most` of the points, at an even stride."""
-    if len(points) <= most:
-        return points
-    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
 def _on_objects(
