@@ -10,12 +10,7 @@ from hickory_stream.events import TimeJumped
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.journal.step import FramePose
 from hickory_stream.map_folder.history.resume import ResumePoint
-from hickory_stream.mapping.rules.keyframes import (
-    Keyframe,
-    KeyframeConfig,
-    is_keyframe,
-    keyframe_reason,
-)
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, keyframe_reason
 
 
 class RunClock:

@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 from hickory_stream.evaluation.reach import reached_in
 from hickory_stream.evaluation.truth import Truth, TruthObject, frame_at, instances_of, mesh_of, moved_mesh
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.inspection.keyframe_labels import (
-    LEAST_CODE,
-    SeenAs,
-    Where,
-    area_px,
-    seen_as,
-)
+from hickory_stream.inspection.keyframe_labels import LEAST_CODE, SeenAs, Where, area_px, seen_as
 from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorded_steps
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import MapSnapshot

@@ -9,14 +9,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.inspection.keyframe_labels import (
-    NO_DEPTH,
-    NO_MASK,
-    STRUCTURE,
-    Where,
-    code_at,
-    where_of,
-)
+from hickory_stream.inspection.keyframe_labels import NO_DEPTH, NO_MASK, STRUCTURE, Where, code_at, where_of
 from hickory_stream.perception.coarse import cells_of
 
 if TYPE_CHECKING:

@@ -21,14 +21,7 @@ from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.observe import observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.ports import Segmenter
-from hickory_stream.records import (
-    Frame,
-    MapPrior,
-    Observation,
-    RejectedMask,
-    Segmentation,
-    SpaceObservation,
-)
+from hickory_stream.records import Frame, MapPrior, Observation, RejectedMask, Segmentation, SpaceObservation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

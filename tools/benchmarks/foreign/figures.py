@@ -11,17 +11,7 @@ from numpy.typing import NDArray
 
 from tools.benchmarks.common.figures import Better, Figure, figure, mean, share
 from tools.benchmarks.common.intervals import bootstrap
-from tools.benchmarks.foreign.parts import (
-    CAMERAS,
-    CAMPUS,
-    CAMPUS_WALKS,
-    OUTDOORS,
-    OWN,
-    ROLES,
-    WALKS,
-    WORLDS,
-    Part,
-)
+from tools.benchmarks.foreign.parts import CAMERAS, CAMPUS, CAMPUS_WALKS, OUTDOORS, OWN, ROLES, WALKS, WORLDS, Part
 from tools.evaluation.oracle_ablation import Rung
 
 Record = Mapping[str, Any]

@@ -7,12 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.geometry.rigid import (
-    from_rotation_translation,
-    invert,
-    rotation_from_quaternion,
-    yaw_rotation,
-)
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_from_quaternion, yaw_rotation
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, symmetric
 from hickory_stream.graph.solution import Solution
