@@ -26,7 +26,7 @@ _NOWHERE = np.empty((0, 3))
 # The floor is uneven if more than this area of it is not level; its heights are means over some decimetres.
 _UNEVEN_M2, _SMOOTH_CELLS = 1.0, 4.0
 # A ray meets uneven ground after so many steps, each to the height below the one before.
-_STEPS = 8
+_STEPS = 4
 _SHADE_RAYS = 16
 _EDGE_CONTRAST = 0.04
 # Sample positions in a pixel: its middle, and a rotated grid whose four points nearly horizontal or vertical edges pass
