@@ -29,7 +29,6 @@ NOT_DECIDING = {
     "mapping.submaps.": _SUBMAPS, "mapping/submaps.py:_DRIFT": _SUBMAPS,
     "mapping/submaps.py:LEAST_BESIDE_M": _WHOLE, "mapping/submaps.py:_MOST_BESIDE_M": _WHOLE,
     "mapping/track_table.py": _WHOLE, "mapping/derived.py:_KEEP_KEYFRAMES": "how long a cloud is not packed",
-    "mapping/space_agreement.py:_MOST_SPACES": "how many spaces are held at once",
     "mapping/floor_warnings.py": "what people are warned of",
     "mapping/ageing.py:_REFUTED_SHARE": _SHAPES, "mapping/ageing.py:_MADE_UP": _SHAPES,
     "mapping/ageing.py:_INWARDS": _SHAPES, "mapping/ageing.py:_ROUNDING_NS": "equality but for rounding",
