@@ -21,7 +21,7 @@ from hickory_stream.pictures.labels import (
 )
 from hickory_stream.pictures.legend import FIXTURE, FIXTURE_TEXT, GENERATED, GENERATED_TEXT, draw_legend
 from hickory_stream.pictures.rasterize import Dots, first_hits
-from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
+from hickory_stream.pictures.render_parts import dots_of, ground_points, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
 from hickory_stream.pictures.render_view import Floor, Model, draw_view, floor_around
 from hickory_stream.pictures.viewpoint import Viewpoint, corners_of, from_above, from_corner
@@ -139,8 +139,8 @@ def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | No
     corners = _corners(objects)
     heights = [floor_m] if floor_m is not None else floors_of(saved.snapshot)
     z_m = next(iter(heights), float(corners[:, 2].min()))
-    seen = [floor_cells(submap, z_m) for submap in saved.snapshot.submaps]
-    return floor_around(corners, z_m, np.concatenate([np.empty((0, 2)), *seen]))
+    seen = [ground_points(submap, z_m) for submap in saved.snapshot.submaps]
+    return floor_around(corners, z_m, np.concatenate([np.empty((0, 3)), *seen]))
 
 
 def _best_azimuth(dots: list[Dots], corners: NDArray[np.float64], place: Place) -> float:

@@ -20,6 +20,8 @@ from hickory_stream.pictures.rasterize import Dots
 from hickory_stream.pictures.raycast import Surface
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.superquadric import Superquadrics
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 
 WALL_COLOR = (214, 218, 226)
 # Structure below the first height is drawn as the floor; structure above the second, the ceiling, is not drawn.
-_FLOOR_REACH_M, _CUT_M = 0.15, 2.0
+LEVEL_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
@@ -163,15 +165,20 @@ def superquadric_surfaces(primitives: Superquadrics, object_id: int, *, is_fixtu
     return surfaces
 
 
-def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint | None, most: int | None = None) -> Surface:
+def wall_surface(
+    submap: Submap,
+    above_m: Callable[[NDArray[np.float64]], NDArray[Any]],
+    viewpoint: Viewpoint | None,
+    most: int | None = None,
+) -> Surface:
     """Return the walls: from above as a floor plan, else their inner faces that face the viewer, or all (None).
 
-    More than `most` faces are drawn as fewer and larger ones.
+    `above_m` is the height of points above the floor; more than `most` faces are drawn as fewer and larger ones.
     """
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
-    height_m = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)[:, 2] - floor_z_m
-    cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
+    height_m = above_m(apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m))
+    cells = cells[(height_m > LEVEL_M) & (height_m < _CUT_M)]
     if viewpoint is not None and viewpoint.is_orthographic:
         return _floor_plan(cells, submap)
     parts, side_m = [_facing(cells, step, submap, viewpoint) for step in _STEPS], space.voxel_m
@@ -184,11 +191,15 @@ def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint | None, 
     return _wall_squares(centers, normals, side_m)
 
 
-def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
-    """Return the points (N, 2) in the world where structure was seen at the height of the floor."""
+def ground_points(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
+    """Return the points (N, 3) in the world of structure that is level with the floor, or no wall."""
     space = submap.observed_space
-    centers = apply(submap.world_from_submap, (cells_of_keys(space.structure) + 0.5) * space.voxel_m)
-    return np.asarray(centers[np.abs(centers[:, 2] - floor_z_m) <= _FLOOR_REACH_M, :2])
+    cells = cells_of_keys(space.structure)
+    points = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)
+    off_m = np.abs(points[:, 2] - floor_z_m)
+    _, column, counts = np.unique(keys_of_cells(cells * (1, 1, 0)), return_inverse=True, return_counts=True)
+    is_ground = (counts[column] * space.voxel_m < _MIN_WALL_M / 2) & (off_m < _CUT_M)
+    return np.asarray(points[is_ground | (off_m <= LEVEL_M)])
 
 
 def _facing(

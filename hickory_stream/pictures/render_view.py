@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.rasterize import Dots, first_hits
 from hickory_stream.pictures.raycast import Hits, Scene, Surface
-from hickory_stream.pictures.render_parts import coarse, coarse_squares, wall_surface
+from hickory_stream.pictures.render_parts import LEVEL_M, coarse, coarse_squares, wall_surface
 from hickory_stream.pictures.viewpoint import Viewpoint
 from hickory_stream.records import Submap
 
@@ -22,7 +22,11 @@ _BACKGROUND = np.array([[0.93, 0.94, 0.96], [0.985, 0.985, 0.99]], dtype=np.floa
 _FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.float32)
 _SHADE_REACH_M = 0.45
 _CELL_M = 0.05
-_NOWHERE = np.empty((0, 2))
+_NOWHERE = np.empty((0, 3))
+# The floor is uneven if more than this area of it is not level; its heights are means over some decimetres.
+_UNEVEN_M2, _SMOOTH_CELLS = 1.0, 4.0
+# A ray meets uneven ground after so many steps, each to the height below the one before.
+_STEPS = 4
 _SHADE_RAYS = 16
 _EDGE_CONTRAST = 0.04
 # Sample positions in a pixel: its middle, and a rotated grid whose four points nearly horizontal or vertical edges pass
@@ -32,34 +36,49 @@ _SAMPLES = np.array([[0, 0], [-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Floor:
-    """The plane z = `z_m`; `weights` (H, W) float32 is how much of each cell of `cell_m` was seen, from `origin_m`."""
+    """The ground: from `origin_m` on, (H, W) how much of each cell was seen, and (H, W) its height."""
 
-    z_m: float
     origin_m: NDArray[np.float64]
-    cell_m: float
     weights: NDArray[np.float32]
+    heights_m: NDArray[np.float32]
 
     def __post_init__(self) -> None:
         freeze(self, "origin_m", np.float64, (2,))
         freeze(self, "weights", np.float32, (None, None))
+        freeze(self, "heights_m", np.float32, self.weights.shape)
+
+    def at(self, values: NDArray[np.float32], places: NDArray[Any]) -> NDArray[np.float32]:
+        """Return (N,) values of the cells at (N, 2) places."""
+        column, row = ((places - self.origin_m) / _CELL_M - 0.5).T
+        return np.asarray(map_coordinates(values, [row, column], order=1, output=np.float32, mode="nearest"))
+
+    def above_m(self, points: NDArray[Any]) -> NDArray[np.float32]:
+        """Return (N,) the heights of (N, 3) points above the ground."""
+        return np.asarray(points[:, 2] - self.at(self.heights_m, points[:, :2]), dtype=np.float32)
 
 
 def floor_around(corners: NDArray[np.float64], z_m: float, seen: NDArray[np.float64] = _NOWHERE) -> Floor:
-    """Return the floor below (N, 3) corners: where (M, 2) places of it were seen, or all of it without any."""
+    """Return the floor below (N, 3) corners: where (M, 3) points of it were seen, or all of it without any."""
     import cv2
 
     margin_m = 0.5
-    around = np.concatenate([corners[:, :2], seen])
+    around = np.concatenate([corners[:, :2], seen[:, :2]])
     origin = around.min(axis=0) - margin_m
     columns, rows = np.ceil((around.max(axis=0) + margin_m - origin) / _CELL_M).astype(int)
-    weights = np.zeros((rows, columns), dtype=np.float32)
+    weights, sums = np.zeros((2, rows, columns), dtype=np.float32)
+    heights = np.full((rows, columns), z_m, dtype=np.float32)
     if len(seen):
-        x, y = ((seen - origin) / _CELL_M).astype(int).T
-        weights[y, x] = 1.0
-        weights = cv2.morphologyEx(weights, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+        x, y = ((seen[:, :2] - origin) / _CELL_M).astype(int).T
+        np.add.at(weights, (y, x), np.float32(1))
+        np.add.at(sums, (y, x), (seen[:, 2] - z_m).astype(np.float32))
+        if np.count_nonzero(np.abs(seen[:, 2] - z_m) > LEVEL_M) * _CELL_M * _CELL_M > _UNEVEN_M2:
+            # Also between and beside what was seen.
+            near, off = (cv2.GaussianBlur(cells, (0, 0), _SMOOTH_CELLS) for cells in (weights, sums))
+            heights += off / np.maximum(near, np.float32(1e-6))
+        weights = cv2.morphologyEx(np.minimum(weights, 1), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
     else:
         weights[6:-6, 6:-6] = 1.0
-    return Floor(z_m=z_m, origin_m=origin, cell_m=_CELL_M, weights=cv2.GaussianBlur(weights, (0, 0), 1.2))
+    return Floor(origin_m=origin, weights=cv2.GaussianBlur(weights, (0, 0), 1.2), heights_m=heights)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -86,7 +105,7 @@ class _Seen:
 
 def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture from one viewpoint: one sample per pixel, and four more at edges of colour."""
-    walls = [wall_surface(submap, model.floor.z_m, viewpoint) for submap in model.submaps]
+    walls = [wall_surface(submap, model.floor.above_m, viewpoint) for submap in model.submaps]
     drawn = [(model.solid, model.points), (walls, []), (model.translucent, [])]
     kinds = [first_hits(surfaces, dots, viewpoint, within_px=_SAMPLES) for surfaces, dots in drawn]
     seen = [_Seen(solid=solid, walls=wall, glass=glass) for solid, wall, glass in zip(*kinds, strict=True)]
@@ -162,7 +181,10 @@ def _lit(
 
 def _floor_distance(floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.float32]:
     down = directions[:, 2] < -1e-6
-    distance = (floor.z_m - origins[:, 2]) / np.where(down, directions[:, 2], -1.0)
+    rise = np.where(down, directions[:, 2], -1.0)
+    distance = (floor.heights_m[0, 0] - origins[:, 2]) / rise
+    for _ in range(_STEPS * bool(np.ptp(floor.heights_m))):
+        distance -= floor.above_m(origins + directions * distance[:, None]) / rise
     return np.where(down & (distance > 0), distance, np.inf).astype(np.float32)
 
 
@@ -180,8 +202,7 @@ def _floor_color(
     pixel_m = (1.0 if viewpoint.is_orthographic else reach) / viewpoint.focal_px
     off_line = np.abs(places - np.round(places))
     line = np.clip(1.2 - off_line / np.maximum(pixel_m, 0.004), 0, 1).max(axis=1, keepdims=True)
-    column, row = ((places - floor.origin_m) / floor.cell_m - 0.5).T
-    weight = map_coordinates(floor.weights, [row, column], order=1, output=np.float32) * is_floor
+    weight = floor.at(floor.weights, places) * is_floor
     return _mixed(_FLOOR, _GRID, line).astype(np.float32), weight[:, None]
 
 
@@ -194,9 +215,8 @@ def _wall_weight(
     walls: Hits, floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return the opacity (N, 1) of walls, which decreases towards their tops."""
-    height_m = (
-        origins[:, 2] + directions[:, 2] * np.where(np.isfinite(walls.distance_m), walls.distance_m, 0) - floor.z_m
-    )
+    reach = np.where(np.isfinite(walls.distance_m), walls.distance_m, 0)[:, None]
+    height_m = floor.above_m(origins + directions * reach)
     fading = np.where(directions[:, 2] < -0.99, 0.9, np.clip(1 - height_m / 2.2, 0.1, 1))
     return np.asarray((np.isfinite(walls.distance_m) * fading)[:, None], dtype=np.float32)
 

@@ -45,6 +45,15 @@ def view(*things, at=(0.6, 0.0, 0.0), start=(-2.4, -0.2, 1.4), noise=0.0015):
     return replace(frame, rgb=rgb, depth_m=depth.astype(np.float32)), shown
 
 
+@pytest.mark.parametrize("distance_m", [5.0, 7.0, 9.5])
+def test_the_front_of_a_house_is_structure_as_far_as_there_is_depth(distance_m):
+    x = distance_m - 2.4
+    front = Block(low=(x, -1.0, 0.0), high=(x + 0.2, 1.0, 3.0), color=(205, 195, 180))
+    frame, shown = view(front, at=(6.0, 0.0, 1.0), noise=0.0025)
+    on_front = (shown == 1) & np.isfinite(frame.depth_m)
+    assert SEGMENTER.segment(frame).structure[on_front].mean() > 0.9
+
+
 def with_hard_shadow(frame):
     y, x = np.indices(frame.depth_m.shape)
     dark = (x + y > 150) & (x + y < 260)

@@ -11,9 +11,11 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.pictures.render import render_map
-from hickory_stream.pictures.render_parts import coarse, dots_of
+from hickory_stream.pictures.render_parts import coarse, dots_of, ground_points, wall_surface
 from hickory_stream.pictures.render_storeys import MARGIN_PX, MOST_STOREYS, Place, places_of, storeys_to_draw
+from hickory_stream.pictures.render_view import floor_around
 from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.records import ObservedSpace
 from tests.engine.snapshot_fixtures import make_snapshot
 
 SIZE = (640, 300)
@@ -204,6 +206,24 @@ def test_a_wall_before_the_objects_does_not_hide_them(saved):
     in_room = is_like(render_map(replace(saved, snapshot=room), {2}, SIZE)[:, 330:], blue)
     outside = is_like(render_map(replace(saved, snapshot=open_air), {2}, SIZE)[:, 330:], blue)
     assert in_room > 0.9 * outside > 0
+
+
+def test_a_slope_is_ground_at_its_own_height_and_no_wall(saved):
+    # It rises by 1.5 m over 6 m, beside a wall.
+    x, y = np.stack(np.meshgrid(np.arange(120), np.arange(40), indexing="ij")).reshape(2, -1)
+    wall = np.stack(np.meshgrid(np.arange(120), [40], np.arange(60), indexing="ij"), axis=-1).reshape(-1, 3)
+    slope, wall = np.column_stack([x, y, x // 4]), wall[wall[:, 2] >= wall[:, 0] // 4]
+    free, structure = (np.sort(keys_of_cells(np.concatenate(parts))) for parts in (
+        (slope + np.array([0, 0, 1]), wall - np.array([0, 1, 0])), (slope, wall),
+    ))  # fmt: skip
+    space = ObservedSpace(voxel_m=0.05, free=free, structure=structure, floor_z_m=0.0)
+    submap = replace(saved.snapshot.submaps[0], world_from_submap=np.eye(4), observed_space=space)
+    floor = floor_around(np.zeros((1, 3)), 0.0, ground_points(submap, 0.0))
+    assert np.abs(floor.above_m((slope + 0.5) * 0.05)).max() < 0.1
+    assert np.median(floor.above_m((wall + 0.5) * 0.05)) > 0.5
+    faces = wall_surface(submap, floor.above_m, None).vertices
+    assert len(faces) > 1000
+    assert faces[:, 1].min() > 1.9
 
 
 @pytest.mark.parametrize(("layers", "size"), [(set(), SIZE), ({5}, SIZE), ({2}, (100, 100))])

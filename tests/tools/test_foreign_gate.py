@@ -24,7 +24,7 @@ def record(found, objects, sizes=None):
         "objects": [
             {"id": i, "size_m": 1.0, "right_25": right, "right_50": False, "ignored": ignored}
             | {"is_structure": False, "surface_m2": 2.0, "generated_m2": 1.0 * right}
-            | {"false_because": None if right or ignored else "structure", "is_ground": not right}
+            | {"false_because": None if right or ignored else "structure"}
             for i, (right, ignored) in enumerate(objects)
         ],
         "little_seen": 5,

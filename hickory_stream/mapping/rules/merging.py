@@ -245,7 +245,10 @@ def why_one(
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
     if not is_known or less.is_promoted:
         return None
-    part = graph.part_of(less, more, near, seen_apart=votes.apart_ns > votes.together_ns)
+    # A patch is of its thing's kind, and was not known longer.
+    may_be_patch = a.is_attached == b.is_attached and less.observed_ns <= more.observed_ns
+    seen_apart = votes.apart_ns > votes.together_ns
+    part = graph.part_of(less, more, near, seen_apart=seen_apart, may_be_patch=may_be_patch)
     return None if part is None else part.reason
 
 

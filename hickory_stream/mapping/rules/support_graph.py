@@ -145,7 +145,9 @@ class SupportGraph:
         is_foot = is_on_foot(upper, lower)
         return _part(lower, upper, "the lower is the foot of the upper") if is_foot else None
 
-    def part_of(self, small: Body, large: Body, near: Iterable[Body], *, seen_apart: bool = False) -> Support | None:
+    def part_of(
+        self, small: Body, large: Body, near: Iterable[Body], *, seen_apart: bool = False, may_be_patch: bool = True
+    ) -> Support | None:
         """Return the edge by which `small` is a leg, pot or inner part of `large`, resting on none `near`, or None.
 
         What keyframes saw apart (`seen_apart`) is no leg: a stool stands under its table as a leg does.
@@ -155,7 +157,7 @@ class SupportGraph:
         if stands_in(large, small):
             return _part(small, large, "the larger stands in the smaller")
         others = [body for body in near if body.id not in (small.id, large.id)]
-        is_part = is_inner_part(small, large, others)
+        is_part = is_inner_part(small, large, others, may_be_patch=may_be_patch)
         return _part(small, large, "the smaller is a part inside the larger") if is_part else None
 
     def still_part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import OrientedBox, intersection_volume_m3
-from hickory_stream.mapping.entities.cloud import Cloud, is_near
+from hickory_stream.mapping.entities.cloud import Cloud, is_near, share_near
 
 # The number of a body's points that are tested for lying on another one: gives the share to a few per cent.
 _SAMPLE = 600
@@ -70,6 +70,9 @@ _THIN_LEG = 0.04
 _FOOT_SLICE = 0.15
 # At least this share of a part's points touches the other body.
 _TOUCH_SHARE = 0.03
+# At least this share of a patch lies on its thing to within two voxels, and the thing has at least this share of points
+# beside it, for the height, of those at its foot.
+_PATCH_SHARE = 0.5
 # A body rests on a surface that is visible around its foot, over this share of a ring of the tolerance's width, if the
 # body rises this far above the surface.
 _RING_SHARE = 0.2
@@ -158,16 +161,29 @@ def _stands_over(upper: Body, lower: Body, slice_m: float) -> bool:
     return len(foot) >= _MIN_POINTS and float(lower.box.is_over_or_under(foot, SLACK_M).mean()) >= _MOST
 
 
-def is_inner_part(small: Body, large: Body, others: Iterable[Body], *, was_one: bool = False) -> bool:
+def is_inner_part(
+    small: Body, large: Body, others: Iterable[Body], *, was_one: bool = False, may_be_patch: bool = True
+) -> bool:
     """Return whether the smaller body is part of the larger one: inside its box, touching it, and resting on nothing.
 
     E.g. the panel of a desk or the board of a shelf. A mug inside the box of a chair rests on the table, one of the
-    `others`. `was_one`: their points were of one track, so they touch.
+    `others`. `was_one`: their points were of one track, so they touch. A patch of a surface, as a car's lamp, rests on
+    nothing.
     """
     inside_m3 = intersection_volume_m3(small.box, large.box.grown(SLACK_M))
     if inside_m3 < _MOST * small.box.volume_m3 or not (was_one or _touches(small, large)):
         return False
-    return not any(_stands_on(small, support) for support in (large, *others))
+    supports = [body for body in (large, *others) if _stands_on(small, body)]
+    return not supports or (may_be_patch and all(_is_patch(small, body) for body in supports))
+
+
+def _is_patch(small: Body, large: Body) -> bool:
+    # Above a support there is room. Beside a patch, which lies on the thing, the thing goes on upwards as densely.
+    low, high = _ends_m(small.solid)
+    beside_m = large.solid.points[small.box.is_over_or_under(large.solid.points, SLACK_M), 2] - low
+    at, above = np.abs(beside_m) < SLACK_M, (beside_m >= SLACK_M) & (beside_m < high - low)
+    goes_on = above.sum() * 2 * SLACK_M > _PATCH_SHARE * at.sum() * (high - low - SLACK_M) > 0
+    return bool(goes_on) and share_near(small.solid.keys, large.solid, halvings=1) >= _PATCH_SHARE
 
 
 def _touches(small: Body, large: Body) -> bool:

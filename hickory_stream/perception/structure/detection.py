@@ -205,7 +205,7 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
         normal = _dominant_direction(left)
         agreement = _along(left.direction, normal)
         facing, left = left.among(agreement > 0.97), left.among(~(agreement > 0.94))
-        for peak in _peaks(_along(facing.at, normal), facing.weight, _WALL_AREA_M2):
+        for peak in _peaks(_along(facing.at, normal), facing, _WALL_AREA_M2):
             inward, offset = _refined(facing, normal, peak)
             offsets = _along(facing.at, inward)
             on_it = np.flatnonzero(np.abs(offsets - np.float32(offset)) < 0.04 + facing.sigma)
@@ -323,11 +323,12 @@ def _spread(at: NDArray[np.float32], share: NDArray[np.float64]) -> tuple[NDArra
     return middle, portable.matmul(columns * share, columns.T)
 
 
-def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
-    # The offsets along a normal of up to four planes with enough area, the rearmost first.
+def _peaks(offsets: NDArray[np.float32], facing: _Upright, min_area_m2: float) -> list[float]:
+    # The offsets along a normal of up to four planes with enough area, the rearmost first; noise spreads far ones.
     if len(offsets) == 0:
         return []
-    bin_m, low = 0.02, float(offsets.min()) - 0.04
+    weight, bin_m = facing.weight, max(0.02, float(np.median(facing.sigma)))
+    low = float(offsets.min()) - 2 * bin_m
     histogram = np.bincount(((offsets - low) / bin_m).astype(np.int64), weights=weight)
     smooth = np.convolve(histogram, np.ones(3), mode="same")
     peaks: list[float] = []

@@ -101,6 +101,6 @@ def _part_of(submap: Submap, place: NDArray[np.float64]) -> _Part:
     floor_m = space.floor_z_m if space.floor_z_m is not None else float(centers[:, 2].min(initial=0.0)) - 0.2
     is_floor = np.abs(centers[:, 2] - floor_m) <= _FLOOR_BAND_M
     own = Submap(id=submap.id, world_from_submap=_AT_ORIGIN, observed_space=space)
-    surface = wall_surface(own, floor_m, None, _MAX_FACES)
+    surface = wall_surface(own, lambda points: points[:, 2] - floor_m, None, _MAX_FACES)
     walls = mesh_of_surface(surface, albedo_factor=WALLS_COLOR, face_rendering=rr.components.MeshFaceRendering.Front)
     return _Part(submap.observed_space, centers[is_floor], walls, len(centers), place)

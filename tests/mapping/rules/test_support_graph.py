@@ -172,6 +172,17 @@ def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it():
     assert not is_inner_part(track(2, box_surface((0.0, 0.1, 0.51), (0.2, 0.1, 0.1))), shelf, [])
 
 
+def test_what_goes_on_upwards_beside_a_patch_is_no_support_of_it():
+    # The side of a car goes on around its lamp; behind a box on a shelf there is a back, but before it there is room.
+    car = track(1, box_surface((0.0, 0.0, 0.8), (4.0, 1.8, 1.2)))
+    lamp = track(2, box_surface((2.0, 0.4, 0.8), (0.06, 0.3, 0.3)))
+    assert is_inner_part(lamp, car, [])
+    shelf = track(1, np.concatenate([
+        box_surface((0.0, 0.0, 0.45), (0.3, 0.8, 0.02)), box_surface((-0.15, 0.0, 0.9), (0.02, 0.8, 0.9)),
+    ]))  # fmt: skip
+    assert not is_inner_part(track(2, box_surface((-0.02, 0.0, 0.61), (0.2, 0.2, 0.3))), shelf, [])
+
+
 def test_a_pedestal_is_a_leg_of_its_desk_and_a_speaker_is_not():
     assert is_leg(PEDESTAL, DESK)
     speaker = track(4, box_surface((0.0, 0.545, 0.4), (0.3, 0.3, 0.8)))

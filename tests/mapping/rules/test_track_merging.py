@@ -161,7 +161,20 @@ def test_a_far_view_is_one_with_a_near_one_within_its_noise(sigma_m, apart_ns, p
         far.astype(np.float32), np.zeros(far.shape, np.uint8), VOXEL_M, np.full(len(far), sigma_m**-2, np.float32)
     )
     blurred = with_cloud(track(2, box_surface((0, 0, 0.1))), seen, 3, VOXEL_M)
-    assert found(merging.VoteBook().plus([(1, 2)], apart_ns=apart_ns), track(1, near), blurred) == pair
+    # What was split off is no part of anything.
+    clear = replace(track(1, near), is_promoted=True)
+    assert found(merging.VoteBook().plus([(1, 2)], apart_ns=apart_ns), clear, blurred) == pair
+
+
+def test_a_patch_is_a_part_of_a_thing_of_its_kind_that_was_known_as_long():
+    car, lamp = (
+        track(1, box_surface((0, 0, 0.8), (4.0, 1.8, 1.2))),
+        track(2, box_surface((2.0, 0.4, 0.8), (0.06, 0.3, 0.3))),
+    )
+    book = merging.VoteBook().plus([(1, 2)], apart_ns=9 * SECOND_NS)
+    assert found(book, car, lamp) == (1, 2)
+    assert found(book, replace(car, is_attached=True), lamp) is None
+    assert found(book, car, replace(lamp, observed_ns=car.observed_ns + 1)) is None
 
 
 def test_only_pairs_with_a_changed_track_are_looked_at():

@@ -215,11 +215,10 @@ def _of_shapes(name: str, every: Record, role: str) -> list[Figure]:
 
 def _of_campus(name: str, record: Record) -> list[Figure]:
     near = [row for row in record["truth"] if row["nearest_m"] <= _NEAR_M]
-    pieces = sum(row["false_because"] == "structure" for row in record["objects"])
-    far, of = f"those more than {_NEAR_M:g} m from the walk", f"{len(record['objects'])} objects and fixtures"
+    far = f"those more than {_NEAR_M:g} m from the walk"
     return [
         *_share(f"{name}_near_recall_25", near, "found_25", "true objects", far, ROLES[CAMPUS]),
-        figure(f"{name}_ground_pieces", pieces, "", "lower", of, left_out="tentative objects", role=ROLES[CAMPUS]),
+        _pieces(f"{name}_ground_pieces", record, "objects and fixtures", ROLES[CAMPUS]),
     ]
 
 
@@ -227,10 +226,15 @@ def _of_outdoors(records: Sequence[Record]) -> list[Figure]:
     if not records:
         return []
     joined, role = _joined(records), ROLES[OUTDOORS[0]]
-    pieces = sum(row["is_ground"] for row in joined["objects"])
-    of = f"{len(joined['objects'])} objects of {len(records)} streets"
-    count = figure("outdoor_ground_objects", pieces, "", "lower", of, left_out="tentative objects", role=role)
-    return [*of_map("outdoor", joined, role), count]
+    pieces = _pieces("outdoor_ground_objects", joined, f"objects of {len(records)} streets", role)
+    return [*of_map("outdoor", joined, role), pieces]
+
+
+def _pieces(name: str, record: Record, of: str, role: str) -> Figure:
+    # Outdoors, true structure is ground, fronts of houses and, in streets of ours, crowns of trees.
+    count = sum(row["false_because"] == "structure" for row in record["objects"])
+    of = f"{len(record['objects'])} {of}"
+    return figure(name, count, "", "lower", of, left_out="tentative objects, fixtures on it", role=role)
 
 
 def _of_kitchen(name: str, record: Record) -> list[Figure]:

@@ -16,14 +16,12 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.labels import load_labels, score_labels
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
-from hickory_stream.evaluation.overlap import Overlap
-from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.reach import depth_on_labels
 from hickory_stream.evaluation.surface_score import area_m2, generated_m2
-from hickory_stream.evaluation.truth import Truth, load_truth
+from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.truth_sightings import middle
 from hickory_stream.evaluation.why import investigate, why_of
-from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter
 from hickory_stream.records import Frame, MapPrior, Phase, Segmentation
@@ -36,8 +34,6 @@ from tools.evaluation.oracle_ablation import Rung, TrueImages, core_of, segmente
 
 _TIMED_KEYFRAMES = 60
 _WARM_KEYFRAMES = 5
-# Kinds of structure to walk on.
-_GROUND = frozenset({"floor", "pavement", "road", "kerb", "lawn"})
 
 
 def mapped_on(rung: Rung, log: Sequence[Path], truth_folder: Path, out: Path) -> dict[str, Any]:
@@ -61,7 +57,6 @@ def mapped(
     reasons = {item.truth_id: item.reason for item in why.missed}
     origins = {item.map_id: item.origin for item in why.false}
     matched, strict = {row.map_id for row in found.objects}, {row.strict_map_id for row in found.objects}
-    ground = _pieces_of_ground(saved, truth)
     eyes = np.array([frame.world_from_camera[:3, 3] for frame in truth.frames])
     nearest_m = {item.id: float(np.linalg.norm(eyes - middle(truth, item), axis=1).min()) for item in truth.objects}
     return {
@@ -90,21 +85,12 @@ def mapped(
                 "surface_m2": area_m2(meshes[item.id]) if item.id in meshes else 0.0,
                 "generated_m2": generated_m2(meshes[item.id]) if item.id in meshes else 0.0,
                 "false_because": origins.get(item.id),
-                "is_ground": item.id in ground,
             }
             for item in saved.snapshot.objects
             if item.phase is not Phase.TENTATIVE
         ],
         "little_seen": sum(item.seen_fraction < MIN_SEEN for item in truth.objects),
     }
-
-
-def _pieces_of_ground(saved: SavedMap, truth: Truth) -> set[int]:
-    ground = tuple(path for path in truth.structure if Path(path).stem.rsplit("_", 1)[-1] in _GROUND)
-    if not ground:
-        return set()
-    lies_on = Overlap(saved.snapshot, replace(placed_truth(saved, truth).truth, structure=ground)).lies_on
-    return {i for i, share in lies_on.items() if share.structure > 0.5}
 
 
 def clouds_scored(folder: Path) -> dict[str, Any]:
