@@ -23,8 +23,9 @@ _FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.fl
 _SHADE_REACH_M = 0.45
 _CELL_M = 0.05
 _NOWHERE = np.empty((0, 3))
-# The floor is uneven if more than this area of it is not level; its heights are means over some decimetres.
-_UNEVEN_M2, _SMOOTH_CELLS = 1.0, 4.0
+# The floor is uneven if more than this share of its cells is not level; its heights are means over some decimetres. Of
+# rooms a twentieth is not level: scraps of walls and furniture.
+_UNEVEN_SHARE, _SMOOTH_CELLS = 0.1, 4.0
 # A ray meets uneven ground after so many steps, each to the height below the one before.
 _STEPS = 4
 _SHADE_RAYS = 16
@@ -71,7 +72,8 @@ def floor_around(corners: NDArray[np.float64], z_m: float, seen: NDArray[np.floa
         x, y = ((seen[:, :2] - origin) / _CELL_M).astype(int).T
         np.add.at(weights, (y, x), np.float32(1))
         np.add.at(sums, (y, x), (seen[:, 2] - z_m).astype(np.float32))
-        if np.count_nonzero(np.abs(seen[:, 2] - z_m) > LEVEL_M) * _CELL_M * _CELL_M > _UNEVEN_M2:
+        is_off = np.abs(seen[:, 2] - z_m) > LEVEL_M
+        if len(np.unique(y[is_off] * columns + x[is_off])) > _UNEVEN_SHARE * np.count_nonzero(weights):
             # Also between and beside what was seen.
             near, off = (cv2.GaussianBlur(cells, (0, 0), _SMOOTH_CELLS) for cells in (weights, sums))
             heights += off / np.maximum(near, np.float32(1e-6))
