@@ -11,6 +11,7 @@ from enum import Enum, auto
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.records import FrameReport
 
@@ -62,6 +63,14 @@ def clear_item(path: str) -> LogItem:
     import rerun as rr
 
     return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+
+
+def pose_item(path: str, pose: NDArray[np.float64]) -> LogItem:
+    """Return the item that places an entity, with what was logged there, at a pose (4, 4) in its parent."""
+    import rerun as rr
+
+    placed = rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
+    return LogItem(path=path, archetypes=(placed,), span=Span.LASTING)
 
 
 def moment_of(report: FrameReport) -> Moment:

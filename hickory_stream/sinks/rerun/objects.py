@@ -17,7 +17,7 @@ from hickory_stream.geometry.display import color_of_id, shaded
 from hickory_stream.geometry.rigid import compose, invert, quaternion_from_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.records import ObjectShape, Phase, TrackedObject, kind_text
-from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item, pose_item
 from hickory_stream.sinks.rerun.meshes import placed_mesh, superquadric_mesh, textured_layer2
 
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
@@ -150,8 +150,7 @@ def _pose_items(object_id: int, after_from_before: NDArray[np.float64]) -> list[
 
     Layer 2 is the first.
     """
-    pose = rr.Transform3D(translation=after_from_before[:3, 3], mat3x3=after_from_before[:3, :3])
-    return [LogItem(path=f"{layer}/{object_id}", archetypes=(pose,), span=Span.LASTING) for layer in LAYERS[1:]]
+    return [pose_item(f"{layer}/{object_id}", after_from_before) for layer in LAYERS[1:]]
 
 
 def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:

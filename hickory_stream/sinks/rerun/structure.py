@@ -13,7 +13,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.pictures.render_parts import wall_surface
 from hickory_stream.records import MapSnapshot, ObservedSpace, SpaceObservation, Submap
-from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item, pose_item
 from hickory_stream.sinks.rerun.labels import FLOOR_COLOR, WALLS_COLOR
 from hickory_stream.sinks.rerun.meshes import mesh_of_surface
 
@@ -73,8 +73,7 @@ class Structure:
                 items.append(LogItem(path=path, archetypes=(part.walls,), weight=Weight.HEAVY, span=Span.LASTING))
             if not np.array_equal(part.place, submap.world_from_submap):
                 part = replace(part, place=submap.world_from_submap)
-                pose = rr.Transform3D(translation=part.place[:3, 3], mat3x3=part.place[:3, :3])
-                items.append(LogItem(path=path, archetypes=(pose,), span=Span.LASTING))
+                items.append(pose_item(path, part.place))
             self._parts[submap.id] = part
         floor = np.concatenate([_NONE, *(apply(part.place, part.floor) for part in self._parts.values())])
         kept = np.linspace(0, max(len(floor) - 1, 0), min(len(floor), _MAX_POINTS)).astype(np.int64)
